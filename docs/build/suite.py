@@ -27,7 +27,6 @@ from docs.build.suite_tuning import GROUPS, TRIALS, gains, record
 from vstestbed.apps.suite.scores import (
     RESAMPLES,
     Score,
-    TaskOfSuite,
     differences,
     overall,
     scores,
@@ -39,7 +38,6 @@ from vstestbed.core.geometry import Array
 from vstestbed.report.comparison.statistics import CONFIDENCE, IntervalEstimate, paired_difference
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.studies.comparison.plan import Jobs, controllers, read_comparison
-from vstestbed.tasks.metrics import Metric
 
 PLACE = Path(__file__).resolve().parents[1] / "research" / "VS-1"
 FORMER = "32187406c2dc"
@@ -324,15 +322,11 @@ def draw() -> None:
     """Make page, tables and figures of the kept runs."""
     found, entry = Suite(), opened(None)
     entry.plans  # noqa: B018 - says which laws take no part
-    blank = {key: why for key, why in entry.blank.items() if key[0] in found.laws}
-    tasks = {
-        name: TaskOfSuite(Metric.named(task.metric), task.asks)
-        for name, task in entry.suite.tasks.items()
-    }
+    tasks = entry.shown_tasks(found.laws)
     which = "A former flight, of other tasks than those of now" if found.former else "All starts"
     about = f"{entry.suite.description}. {which}; files {found.sha256[:12]}. {HOW}"
     with tempfile.TemporaryDirectory() as made:
-        write_scores(Path(made), found.runs, tasks, blank, "Suite VS-1", about, entry.command)
+        write_scores(Path(made), found.runs, tasks, "Suite VS-1", about, entry.command)
         for name in (
             "report.html",
             "scores.csv",

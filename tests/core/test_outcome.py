@@ -47,7 +47,8 @@ def test_a_map_of_convergence_has_a_letter_for_each_failure() -> None:
 def test_the_letters_that_a_map_shows_are_those_that_its_caption_explains(tmp_path: Path) -> None:
     others = np.array([["joint_limit", ""]], dtype=object)
     maps = [("law", np.array([[0.5, 1.0]]), others, np.full((1, 2), np.nan))]
-    page = figures.write_sweep(tmp_path, maps, ("x", ["1", "2"]), ("y", ["1"]), 4, "", "")
+    sweep = figures.Sweep(maps, ("x", ["1", "2"]), ("y", ["1"]), 4, "")
+    page = figures.write_sweep(tmp_path, sweep, "")
     assert "(J: joint limit)" in page.read_text(encoding="utf-8")
 
 

@@ -20,10 +20,9 @@ from vstestbed.report.chart import bordered
 from vstestbed.report.marks import INK, RULE, WIDTH_IN, paint
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
 
     from vstestbed.report.chart import Chart, ChartPanel, Curve
 
@@ -106,25 +105,20 @@ def chart_figure(chart: Chart) -> Figure:
     """A run's chart (`chart`) as a matplotlib figure."""
     with style():
         entries = chart.legend()
-        # as many as the longest leaves room for
-        columns = max(1, min(len(entries), 90 // (max(map(len, entries), default=1) + 7)))
+        # as many columns as the longest entry leaves room for
+        longest = max(map(len, entries), default=1)
+        columns = max(1, min(len(entries), 90 // (longest + 7)))
         figure = new_figure(chart.height / 72 + 0.2 * -(-len(entries) // columns))
         shares = [panel.share for panel in chart.panels]
-        grid = figure.subplots(
-            len(shares), squeeze=False, sharex=len(shares) > 1, height_ratios=shares
-        )[:, 0]
+        grid = figure.subplots(len(shares), squeeze=False, sharex=True, height_ratios=shares)[:, 0]
         for axes, panel in zip(grid, chart.panels, strict=True):
             _draw_panel(axes, panel)
         grid[-1].set_xlabel(chart.panels[-1].labels[0])
         if entries:
             nothing = np.zeros(0)
-            handles = [
-                _line(c, nothing, nothing) if c.marker or c.linewidth else _patch(c)
-                for c in entries.values()
-            ]
-            figure.legend(
-                handles, list(map(plain, entries)), loc="outside lower center", ncols=columns
-            )
+            handles = [_artist(curve, nothing, nothing) for curve in entries.values()]
+            names = [plain(name) for name in entries]
+            figure.legend(handles, names, loc="outside lower center", ncols=columns)
         picture = io.BytesIO()
         save_to(figure, picture, "png", 110)
     # Jupyter shows it without `%matplotlib inline`, too
@@ -146,55 +140,33 @@ def _draw_panel(axes: Axes, panel: ChartPanel) -> None:
         if words is not None:
             axis.set_major_formatter(lambda value, _, words=words: words(value))
     for curve in panel.curves:
-        x, y = bordered(curve.x, xlim), bordered(curve.y, ylim)
-        if curve.fill != "none" and not curve.marker:
-            axes.fill(
-                x,
-                y,
-                facecolor=curve.fill,
-                edgecolor=curve.color,
-                linewidth=curve.linewidth,
-                alpha=curve.alpha,
-                zorder=curve.zorder,
-            )
-        else:
-            axes.add_line(_line(curve, x, y))
-    for x, y, words, anchor, color in panel.words:
-        at = {"start": "left", "middle": "center", "end": "right"}[anchor]
-        place = float(bordered(np.array(x), xlim)), float(bordered(np.array(y), ylim))
-        axes.text(
-            *place,
-            plain(words),
-            color=color,
-            ha=at,
-            va="top" if np.isinf(y) else "center",
-            fontsize=7.5,
-        )
+        axes.add_artist(_artist(curve, bordered(curve.x, xlim), bordered(curve.y, ylim)))
+    for x, y, words, ha, color in panel.words:
+        at = float(bordered(np.array(x), xlim)), float(bordered(np.array(y), ylim))
+        va = "top" if np.isinf(y) else "center"
+        axes.text(*at, plain(words), color=color, ha=ha, va=va, fontsize=7.5)
 
 
-def _line(curve: Curve, x: Array, y: Array) -> Line2D:
+def _artist(curve: Curve, x: Array, y: Array) -> Artist:
+    """A curve through these points, or its entry in a legend."""
     from matplotlib.lines import Line2D
+    from matplotlib.patches import Polygon
 
-    marker = curve.marker or ("o" if len(x) == 1 else "")
-    looks: Any = {
-        "color": curve.color,
-        "linewidth": curve.linewidth,
-        "alpha": curve.alpha,
-        "zorder": curve.zorder,
-    }
-    marks: Any = {
-        "marker": marker,
-        "markersize": curve.markersize,
-        "markerfacecolor": curve.fill,
-        "markeredgewidth": curve.linewidth,
-    }
-    return Line2D(x, y, linestyle="none" if curve.marker else curve.linestyle, **looks, **marks)
-
-
-def _patch(curve: Curve) -> Patch:
-    from matplotlib.patches import Patch
-
-    return Patch(facecolor=curve.fill, alpha=curve.alpha)
+    look: Any = {"linewidth": curve.linewidth, "alpha": curve.alpha, "zorder": curve.zorder}
+    if curve.is_area:
+        corners = np.column_stack([x, y])
+        return Polygon(corners, facecolor=curve.fill, edgecolor=curve.color, **look)
+    return Line2D(
+        x,
+        y,
+        color=curve.color,
+        linestyle="none" if curve.marker else curve.linestyle,
+        marker=curve.marker or ("o" if len(x) == 1 else ""),
+        markersize=curve.markersize,
+        markerfacecolor=curve.fill,
+        markeredgewidth=curve.linewidth,
+        **look,
+    )
 
 
 def publish(figure: Figure, key: str, label: str, place: Path | None = None) -> str:

@@ -8,13 +8,14 @@ plotting library, most of which measures text that the browser sets again. Looks
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from math import ceil, floor, log10
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from vstestbed.core.geometry import Array
 from vstestbed.report.marks import INK, RULE, WIDTH_IN, paint
@@ -28,11 +29,8 @@ def ticks(low: float, high: float, most: int) -> Array:
     `high`.
     """
     raw = (high - low) / max(most, 1)
-    step = next(
-        s
-        for s in (f * 10.0 ** floor(log10(raw)) for f in (1, 2, 2.5, 5, 10))
-        if s >= raw * (1 - 1e-9)
-    )
+    power = 10.0 ** floor(log10(raw))
+    step = next(f * power for f in (1, 2, 2.5, 5, 10) if f * power >= raw * (1 - 1e-9))
     return step * np.arange(ceil(low / step - 1e-9), floor(high / step + 1e-9) + 1, dtype=float)
 
 
@@ -53,14 +51,15 @@ def numerals(at: Array, powers: bool = False) -> list[str]:
     """The numbers of ticks, with the same number of decimals, or with powers of ten where these are
     shorter (or asked for).
     """
-    step = float(np.ptp(at)) / (len(at) - 1) if len(at) > 1 else float(np.abs(at).sum()) or 1.0
+    step = np.abs(at).sum() or 1.0
+    if len(at) > 1:
+        step = np.ptp(at) / (len(at) - 1)
     # decimals of the number that needs most of them, to a thousandth of the distance of two; powers
     # instead of more than four of them
-    enough = (d for d in range(5) if (np.abs(at - np.round(at, d)) < 1e-3 * step).all())
-    decimals = None if powers or np.abs(at).max(initial=0) >= 1e5 else next(enough, None)
-    if decimals is None:
-        return [_power(float(v)) for v in at]
-    return [f"{v + 0.0:.{decimals}f}".replace("-", "\N{MINUS SIGN}") for v in at]
+    enough = [d for d in range(5) if (np.abs(at - np.round(at, d)) < 1e-3 * step).all()]
+    if powers or not enough or np.abs(at).max(initial=0) >= 1e5:
+        return [_power(v) for v in at.tolist()]
+    return [f"{v + 0.0:.{enough[0]}f}".replace("-", "\N{MINUS SIGN}") for v in at]
 
 
 def _power(value: float) -> str:
@@ -78,7 +77,8 @@ POINT = 10  # Steps of a coordinate per point (1/72 in): all coordinates of curv
 # Margins around the panels and between two of them [pt]
 LEFT, RIGHT, BOTTOM, TOP, GAP = 64.0, 13.0, 32.0, 10.0, 13.0
 # Lengths of dashes and gaps, in widths of the line
-DASHES = {"-": (), ":": (1.0, 1.65), "--": (3.7, 1.6)}
+DASHES = {"-": (), "none": (), ":": (1.0, 1.65), "--": (3.7, 1.6)}
+ANCHORS = {"left": "start", "center": "middle", "right": "end"}  # of words, by matplotlib's names
 MARKS = {
     "o": "m{0} 0a{1} {1} 0 1 0 {2} 0a{1} {1} 0 1 0 {3} 0",
     "x": "m{0} {0}l{2} {2}m0 {3}l{3} {2}",
@@ -101,53 +101,63 @@ class Curve:
     color: str = INK
     linewidth: float = 1.4
     alpha: float = 1.0
-    linestyle: Any = "-"  # of DASHES, `none`, or as (0, lengths) in widths of the line
+    linestyle: Any = "-"  # of DASHES, or as (0, lengths) in widths of the line
     marker: str = ""  # of MARKS, at each point
     markersize: float = 6.0
     fill: str = "none"  # colour inside, of the closed line or of its markers
     label: str = ""  # entry in the legend; "" for none. A curve without points is an entry alone
     zorder: float = 2.0  # of several curves, the higher lies above
 
+    @property
+    def is_area(self) -> bool:
+        """Whether its inside is filled, and not that of its markers."""
+        return self.fill != "none" and not self.marker
+
     def drawn(self, x: Array, y: Array) -> str:
         """The SVG of the curve through points [pt]."""
         known = ~np.isnan(x + y)
-        whole = np.rint(np.stack([x, y], axis=-1)[known].clip(-1e6, 1e6) * POINT).astype(int)
+        points = np.stack([x, y], axis=-1)[known].clip(-1e6, 1e6)
+        whole = np.rint(points * POINT).astype(int)
         if self.marker or len(whole) == 1:  # a single value would be a line without length
-            half = round(POINT / 2 * (self.markersize if self.marker else max(3.0, self.linewidth)))
-            mark = MARKS[self.marker or "o"].format(-half, half, 2 * half, -2 * half)
-            return self._element("".join(f"M{u} {v}{mark}" for u, v in whole.tolist()), ())
-        if self.linestyle == "none" and self.fill == "none":
+            return self._marks(whole)
+        if self.linestyle == "none" and not self.is_area:
             return ""
         pieces = np.split(whole, np.flatnonzero(np.diff(np.flatnonzero(known)) > 1) + 1)
-        dashes = (
-            DASHES.get(self.linestyle, ()) if isinstance(self.linestyle, str) else self.linestyle[1]
-        )
-        return self._element(
-            "".join(map(_path, pieces)) + ("z" if self.fill != "none" else ""), dashes
-        )
+        path = "".join(map(_path, pieces))
+        if path and self.is_area:
+            path += "z"
+        dashes = DASHES[self.linestyle] if isinstance(self.linestyle, str) else self.linestyle[1]
+        return self._element(path, dashes)
 
-    def _element(self, d: str, dashes: tuple[float, ...]) -> str:
-        lengths = " ".join(f"{POINT * self.linewidth * length:.3g}" for length in dashes)
-        more = f' stroke-dasharray="{lengths}" stroke-linecap="butt"' if dashes else ""
-        more += f' opacity="{self.alpha:g}"' if self.alpha < 1 else ""
-        stroke = (
-            f' stroke="{paint(self.color)}" stroke-width="{POINT * self.linewidth:.3g}"'
-            if self.linewidth
-            else ""
-        )
-        return f'<path d="{d}" fill="{paint(self.fill)}"{stroke}{more}/>' if d else ""
+    def _marks(self, whole: Array) -> str:
+        size = self.markersize if self.marker else max(3.0, self.linewidth)
+        half = round(POINT / 2 * size)
+        mark = MARKS[self.marker or "o"].format(-half, half, 2 * half, -2 * half)
+        return self._element("".join(f"M{u} {v}{mark}" for u, v in whole.tolist()), ())
+
+    def _element(self, path: str, dashes: tuple[float, ...]) -> str:
+        if not path:
+            return ""
+        look = f'fill="{paint(self.fill)}"'
+        if self.linewidth:
+            look += f' stroke="{paint(self.color)}" stroke-width="{POINT * self.linewidth:.3g}"'
+        if dashes:
+            lengths = " ".join(f"{POINT * self.linewidth * length:.3g}" for length in dashes)
+            look += f' stroke-dasharray="{lengths}" stroke-linecap="butt"'
+        if self.alpha < 1:
+            look += f' opacity="{self.alpha:g}"'
+        return f'<path d="{path}" {look}/>'
 
     def sample(self) -> str:
         """The SVG of the curve's entry in a legend, 20 pt by 9."""
-        if self.fill != "none" and not self.marker:
-            body = self.drawn(np.array([2.0, 18, 18, 2]), np.array([1.0, 1, 8, 8]))
-        else:
-            body = self.drawn(
-                *(np.array([[10.0], [4.5]]) if self.marker else np.array([[2.0, 18.0], [4.5, 4.5]]))
-            )
+        points = [[2.0, 18.0], [4.5, 4.5]]
+        if self.is_area:
+            points = [[2.0, 18.0, 18.0, 2.0], [1.0, 1.0, 8.0, 8.0]]
+        elif self.marker:
+            points = [[10.0], [4.5]]
         return (
             f'<svg viewBox="0 0 {20 * POINT} {9 * POINT}" aria-hidden="true">'
-            f'<g stroke-linecap="round">{body}</g></svg>'
+            f'<g stroke-linecap="round">{self.drawn(*np.array(points))}</g></svg>'
         )
 
 
@@ -179,6 +189,56 @@ def text(
     )
 
 
+class Words(NamedTuple):
+    """Words at a point of a panel [data units]; at y = infinity below its upper border."""
+
+    x: float
+    y: float
+    text: str
+    ha: str = "left"  # left, center or right
+    color: str = INK
+
+
+class Box(NamedTuple):
+    """A rectangle of the drawing [pt]."""
+
+    left: float
+    top: float
+    width: float
+    height: float
+
+    def shaped(self, across: float, down: float) -> Box:
+        """The largest rectangle in its middle with sides as these."""
+        scale = min(self.width / across, self.height / down)
+        width = scale * across
+        height = scale * down
+        left = self.left + (self.width - width) / 2
+        return Box(left, self.top + (self.height - height) / 2, width, height)
+
+
+class Scale(NamedTuple):
+    """Where values lie in a panel."""
+
+    box: Box
+    xlim: Pair
+    ylim: Pair
+    log: bool  # whether y is logarithmic
+
+    def across(self, x: Array) -> Array:
+        """Distances from the left border [pt]."""
+        left, right = self.xlim
+        return (bordered(x, self.xlim) - left) / (right - left) * self.box.width
+
+    def down(self, y: Array) -> Array:
+        """Distances from the upper border [pt]."""
+        y = bordered(y, self.ylim)
+        low, high = self.ylim
+        if self.log:
+            y = np.log10(np.where(y > 0, y, np.nan))
+            low, high = log10(low), log10(high)
+        return (high - y) / (high - low) * self.box.height
+
+
 @dataclass
 class ChartPanel:
     """A pair of axes: curves, words, limits and labels; limits that are not given follow from the
@@ -186,8 +246,7 @@ class ChartPanel:
     """
 
     curves: list[Curve] = field(default_factory=list)
-    # (x, y, text, anchor, colour) at points [data units]; at y = infinity below the upper border
-    words: list[tuple[float, float, str, str, str]] = field(default_factory=list)
+    words: list[Words] = field(default_factory=list)
     labels: tuple[str, str] = ("", "")
     title: str = ""
     xlim: Pair | None = None  # xlim, ylim: limits, in the order left, right and bottom, top
@@ -207,126 +266,93 @@ class ChartPanel:
 
     def rule(self, y: float, **look: Any) -> None:
         """A line across the panel below the curves, grey unless another look is given."""
-        self.plot(
-            [-np.inf, np.inf], [y, y], **{"color": RULE, "linewidth": 0.8, "zorder": 1.5} | look
-        )
+        grey = {"color": RULE, "linewidth": 0.8, "zorder": 1.5}
+        self.plot([-np.inf, np.inf], [y, y], **grey | look)
 
     def area(self, x: Pair, y: Pair, color: str, alpha: float, label: str = "") -> None:
         """A filled rectangle below all lines."""
-        self.plot(
-            np.repeat(x, 2),
-            [*y, *y[::-1]],
-            fill=color,
-            linewidth=0,
-            alpha=alpha,
-            label=label,
-            zorder=1,
-        )
+        look = {"fill": color, "linewidth": 0, "alpha": alpha, "label": label, "zorder": 1}
+        self.plot(np.repeat(x, 2), [*y, *y[::-1]], **look)
 
     def limits(self) -> tuple[Pair, Pair]:
         """The limits (left, right) and (bottom, top)."""
-        x = self.xlim or _around(
-            [c.x for c in self.curves] + [np.array([x for x, *_ in self.words])], False
-        )
+        x = self.xlim or _around([*(c.x for c in self.curves), [w.x for w in self.words]], False)
         if self.ylim:
             return x, self.ylim
-        y = _around(
-            [c.y for c in self.curves] + [np.array([y for _, y, *_ in self.words])], self.log
-        )
-        if y[1] - y[0] < self.least:
-            y = ((y[0] + y[1] - self.least) / 2, (y[0] + y[1] + self.least) / 2)
+        low, high = _around([*(c.y for c in self.curves), [w.y for w in self.words]], self.log)
+        if high - low < self.least:
+            middle = low + high
+            low = (middle - self.least) / 2
+            high = (middle + self.least) / 2
         if self.lowest is not None:
-            y = (self.lowest, y[1] if y[1] > self.lowest else self.lowest + 1)
-        return x, y
+            low = self.lowest
+            high = high if high > low else low + 1
+        return x, (low, high)
 
-    def drawn(self, left: float, top: float, width: float, height: float, last: bool) -> str:
-        """The SVG of the panel in a rectangle [pt]; numbers along x only in the last panel of a
+    def drawn(self, box: Box, last: bool) -> str:
+        """The SVG of the panel in a rectangle; numbers along x only in the last panel of a
         column.
         """
         xlim, ylim = self.limits()
-        title = text(left, top - 8, self.title, "start") if self.title else ""
+        parts = []
+        title = text(box.left, box.top - 8, self.title, "start") if self.title else ""
         if self.equal:
-            scale = min(width / abs(xlim[1] - xlim[0]), height / abs(ylim[1] - ylim[0]))
-            across, down = scale * abs(xlim[1] - xlim[0]), scale * abs(ylim[1] - ylim[0])
-            left, top, width, height = (
-                left + (width - across) / 2,
-                top + (height - down) / 2,
-                across,
-                down,
-            )
-
-        def place(x: Array, y: Array) -> tuple[Array, Array]:
-            x, y, low, high = bordered(x, xlim), bordered(y, ylim), *ylim
-            if self.log:
-                y, low, high = np.log10(np.where(y > 0, y, np.nan)), log10(low), log10(high)
-            return (x - xlim[0]) / (xlim[1] - xlim[0]) * width, (high - y) / (high - low) * height
-
-        parts = [] if self.bare else list(self._axes(place, (left, top, width, height), last))
-        body = "".join(
-            c.drawn(*place(c.x, c.y))
-            for c in sorted(self.curves, key=lambda c: c.zorder)
-            if len(c.x)
-        )
+            box = box.shaped(abs(xlim[1] - xlim[0]), abs(ylim[1] - ylim[0]))
+        scale = Scale(box, xlim, ylim, self.log)
+        if not self.bare:
+            parts += self._axes(scale, last)
+        curves = sorted(self.curves, key=lambda c: c.zorder)
+        body = "".join(c.drawn(scale.across(c.x), scale.down(c.y)) for c in curves)
+        left, top, width, height = box
         view = f'x="{left:.1f}" y="{top:.1f}" width="{width:.1f}" height="{height:.1f}"'
-        view += f' viewBox="0 0 {POINT * width:.0f} {POINT * height:.0f}"' + (
-            ' overflow="visible"' if self.bare else ""
-        )
+        view += f' viewBox="0 0 {POINT * width:.0f} {POINT * height:.0f}"'
+        if self.bare:
+            view += ' overflow="visible"'
         parts.append(
             f'<svg {view} preserveAspectRatio="none" stroke-linecap="round"'
             f' stroke-linejoin="round">{body}</svg>'
         )
-        for x, y, words, anchor, color in self.words:
-            u, v = place(np.array([x]), np.array([y]))
-            parts.append(
-                text(left + u[0], top + v[0] + (6 if np.isinf(y) else 0), words, anchor, color)
-            )
+        for x, y, words, ha, color in self.words:
+            u = left + float(scale.across(np.array(x)))
+            v = top + float(scale.down(np.array(y)))
+            if np.isinf(y):
+                v += 6
+            parts.append(text(u, v, words, ANCHORS[ha], color))
         return "".join((*parts, title))
 
-    def _axes(
-        self,
-        place: Callable[[Array, Array], tuple[Array, Array]],
-        box: tuple[float, ...],
-        last: bool,
-    ) -> Iterator[str]:
+    def _axes(self, scale: Scale, last: bool) -> Iterator[str]:
         """Grid, borders at the left and below, numbers and labels."""
-        left, top, width, height = box
-        (x0, x1), (y0, y1) = (sorted(limits) for limits in self.limits())
-        at_x, at_y = (
-            ticks(x0, x1, round(width / 46)),
-            (log_ticks if self.log else ticks)(y0, y1, max(2, round(height / 21))),
-        )
-        u, v = left + place(at_x, 0 * at_x + y1)[0], top + place(0 * at_y + x0, at_y)[1]
-        grid = "".join(f"M{x:.1f} {top:.1f}v{height:.1f}" for x in u) + "".join(
-            f"M{left:.1f} {y:.1f}h{width:.1f}" for y in v
-        )
+        left, top, width, height = scale.box
+        at_x = ticks(*sorted(scale.xlim), round(width / 46))
+        most = max(2, round(height / 21))
+        at_y = (log_ticks if self.log else ticks)(*sorted(scale.ylim), most)
+        u = left + scale.across(at_x)
+        v = top + scale.down(at_y)
+        grid = "".join(f"M{x:.1f} {top:.1f}v{height:.1f}" for x in u)
+        grid += "".join(f"M{left:.1f} {y:.1f}h{width:.1f}" for y in v)
         yield f'<path d="{grid}" stroke="{paint(RULE)}" stroke-width=".6" opacity=".45"/>'
         yield (
             f'<path d="M{left:.1f} {top:.1f}v{height:.1f}h{width:.1f}" fill="none"'
             f' stroke="{paint(RULE)}" stroke-width=".8"/>'
         )
+        at = left - 53
         middle = top + height / 2
-        yield text(
-            left - 53,
-            middle,
-            self.labels[1],
-            more=f' transform="rotate(-90 {left - 53:.1f} {middle:.1f})"',
-        )
-        yield from (
-            text(left - 5, y, words, "end")
-            for y, words in zip(v, self._numbers(1, at_y), strict=True)
-        )
+        turned = f' transform="rotate(-90 {at:.1f} {middle:.1f})"'
+        yield text(at, middle, self.labels[1], more=turned)
+        for y, words in zip(v, self._numbers(1, at_y), strict=True):
+            yield text(left - 5, y, words, "end")
         if last:
-            yield from (
-                text(x, top + height + 9, words)
-                for x, words in zip(u, self._numbers(0, at_x), strict=True)
-            )
+            for x, words in zip(u, self._numbers(0, at_x), strict=True):
+                yield text(x, top + height + 9, words)
             yield text(left + width / 2, top + height + 23, self.labels[0])
 
     def _numbers(self, axis: int, at: Array) -> list[str]:
         in_words = self.in_words[axis]
+        if in_words is not None:
+            return [in_words(n) for n in at]
         # a logarithmic axis of less than a factor of two has the numbers of a linear one
         powers = self.log and axis == 1 and len(at) > 1 and at[-1] >= 2 * at[0]
-        return [in_words(n) for n in at] if in_words else numerals(at, powers)
+        return numerals(at, powers)
 
 
 def bordered(values: Array, limits: Pair) -> Array:
@@ -334,19 +360,23 @@ def bordered(values: Array, limits: Pair) -> Array:
     return np.where(np.isinf(values), np.where(values > 0, max(limits), min(limits)), values)
 
 
-def _around(values: list[Array], log: bool) -> Pair:
+def _around(values: Sequence[ArrayLike], log: bool) -> Pair:
     """Limits around all finite values, with a twentieth of their span to each side."""
-    v = np.concatenate([np.zeros(0), *(np.ravel(a) for a in values)])
-    v = v[np.isfinite(v) & (v > 0)] if log else v[np.isfinite(v)]
-    if len(v) == 0:
+    v = np.concatenate(values)
+    v = v[np.isfinite(v)]
+    if log:
+        v = v[v > 0]
+    if not len(v):
         return (1.0, 10.0) if log else (0.0, 1.0)
-    low, high = np.clip([v.min(), v.max()], 1 / LARGEST if log else -LARGEST, LARGEST).tolist()
+    least = 1 / LARGEST if log else -LARGEST
+    low, high = np.clip([v.min(), v.max()], least, LARGEST).tolist()
     if log:
         margin = max((high / low) ** 0.05, 1.05)
         return low / margin, high * margin
-    margin = 0.05 * (
-        (high - low) if high - low > 1e-12 * max(abs(low), abs(high)) else abs(high) or 1.0
-    )
+    span = high - low
+    if span <= 1e-12 * max(abs(low), abs(high)):  # one value, which is its own scale
+        span = abs(high) or 1.0
+    margin = 0.05 * span
     return low - margin, high + margin
 
 
@@ -370,33 +400,29 @@ class Chart:
     def _margins(self) -> tuple[float, float, float, float]:
         if any(panel.bare for panel in self.panels):
             return 36.0, 36.0, 20.0, 24.0
-        return LEFT, RIGHT, BOTTOM, TOP + (8 if any(panel.title for panel in self.panels) else 0)
+        titles = 8 if any(panel.title for panel in self.panels) else 0
+        return LEFT, RIGHT, BOTTOM, TOP + titles
 
     def svg(self, label: str) -> str:
         """The chart as `<svg>` element with this name for screen readers, and the legend as a list
         below it.
         """
-        width, (left, right, bottom, top) = 72 * WIDTH_IN, self._margins()
-        shares = [panel.share for panel in self.panels]
-        each = (self.height - bottom - top + GAP) / sum(shares)
-        body = "".join(
-            panel.drawn(
-                left,
-                top + sum(shares[:i]) * each,
-                width - left - right,
-                panel.share * each - GAP,
-                panel is self.panels[-1],
-            )
-            for i, panel in enumerate(self.panels)
-        )
+        width = 72 * WIDTH_IN
+        left, right, bottom, top = self._margins()
+        shares = sum(panel.share for panel in self.panels)
+        each = (self.height - bottom - top + GAP) / shares
+        body = ""
+        for panel in self.panels:
+            box = Box(left, top, width - left - right, panel.share * each - GAP)
+            body += panel.drawn(box, panel is self.panels[-1])
+            top += panel.share * each
         look = (
             f'role="img" aria-label="{escape(label)}" viewBox="0 0 {width:.1f} {self.height:.1f}"'
             ' font-size="9.5" fill="var(--ink)"'
         )
-        entries = "".join(
-            f"<li>{curve.sample()}{escape(name)}</li>" for name, curve in self.legend().items()
-        )
-        key = f'<ul class="key">{entries}</ul>' if entries else ""
+        key = "".join(f"<li>{c.sample()}{escape(name)}</li>" for name, c in self.legend().items())
+        if key:
+            key = f'<ul class="key">{key}</ul>'
         return f"<svg {look}>{body}</svg>{key}"
 
     def legend(self) -> dict[str, Curve]:
@@ -418,8 +444,11 @@ class Space:
     def __init__(self, panel: ChartPanel, elev: float, azim: float):
         """`elev`, `azim`: elevation and azimuth of the viewer from the origin [deg]."""
         panel.equal = panel.bare = True
-        self.panel, self.elev, self.azim = panel, elev, azim
-        (se, sa), (ce, ca) = np.sin(np.radians([elev, azim])), np.cos(np.radians([elev, azim]))
+        self.panel = panel
+        self.elev = elev
+        self.azim = azim
+        se, sa = np.sin(np.radians([elev, azim]))
+        ce, ca = np.cos(np.radians([elev, azim]))
         self.across = np.array([[-sa, ca, 0.0], [-se * ca, -se * sa, ce]])
         """The directions right and up of the picture in space, shape (2, 3)."""
 
@@ -427,24 +456,12 @@ class Space:
         """Add a line (see `chart.Curve`)."""
         self.panel.plot(*(self.across @ np.stack([x, y, z])), **look)
 
-    def text(
-        self,
-        x: float,
-        y: float,
-        z: float,
-        s: str,
-        color: str = INK,
-        ha: str = "center",
-        va: str = "center",
-    ) -> None:
+    def text(self, x: float, y: float, z: float, s: str, color: str = INK, **align: str) -> None:
         """Add words, vertically centred (`va` is there for matplotlib's axes); `ha`: left, center
         or right.
         """
-        assert va == "center"
         u, v = self.across @ (x, y, z)
-        self.panel.words.append(
-            (u, v, s, {"left": "start", "center": "middle", "right": "end"}[ha], color)
-        )
+        self.panel.words.append(Words(u, v, s, align.get("ha", "center"), color))
 
     def box(self, low: Array, high: Array, most: int = 5) -> None:
         """The three far sides of a box from `low` to `high` (3,) [m] with a grid, and its numbers;
@@ -465,21 +482,16 @@ class Space:
             for value in (low[axis], *at, high[axis]):
                 for other in {0, 1, 2} - {axis}:
                     ends = np.array([far, far])
-                    ends[:, axis], ends[:, other] = value, (low[other], high[other])
+                    ends[:, axis] = value
+                    ends[:, other] = low[other], high[other]
                     self.plot(*ends.T, color=RULE, linewidth=0.6, alpha=0.45, zorder=0)
             for value, words in zip(at, numerals(at), strict=True):
                 self._beside(corner, axis, value, 0.025 * size * out, words, side)
             edge = np.array([corner, corner])
             edge[:, axis] = low[axis], high[axis]
             self.plot(*edge.T, color=RULE, linewidth=0.8, zorder=0)
-            self._beside(
-                corner,
-                axis,
-                (low + high)[axis] / 2,
-                (0.17 if axis < 2 else 0.15) * size * out,
-                f"{'xyz'[axis]} [m]",
-                side,
-            )
+            beyond = (0.17, 0.17, 0.15)[axis] * size * out
+            self._beside(corner, axis, (low + high)[axis] / 2, beyond, f"{'xyz'[axis]} [m]", side)
 
     def _beside(
         self, corner: Array, axis: int, value: float, shift: Array, words: str, side: str
@@ -487,5 +499,4 @@ class Space:
         """Words beside a point of an edge."""
         at = corner + shift
         at[axis] += value - corner[axis]
-        x, y, z = at.tolist()
-        self.text(x, y, z, words, ha=side)
+        self.text(*at.tolist(), words, ha=side)

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import colorsys
 import math
-from typing import Any, Final
+from typing import Any
 
 __all__ = [
     "AIM",
@@ -37,16 +37,16 @@ __all__ = [
     "with_unit",
 ]
 
-INK: Final = "#010203"
-RULE: Final = "#a1b2c3"
+INK = "#010203"
+RULE = "#a1b2c3"
 """Colours that nothing else uses: on a page they are replaced by its CSS variables, which follow
 light and dark (`paint`).
 """
-LOST: Final = "#d03040"
-GOAL: Final = "#0a8f6a"
+LOST = "#d03040"
+GOAL = "#0a8f6a"
 # x, y, z; distinct to colour-blind readers (Okabe & Ito 2008, blue lightened)
-AXIS_COLORS: Final = ("#d55e00", "#009e73", "#0080d0")
-LINE_COLORS: Final = (
+AXIS_COLORS = ("#d55e00", "#009e73", "#0080d0")
+LINE_COLORS = (
     "#0080d0",
     "#d55e00",
     "#009e73",
@@ -56,27 +56,27 @@ LINE_COLORS: Final = (
     "#8a6fd1",
     "#7a7f86",
 )
-MARKERS: Final = "os^DvX*P<h>pd"
-WIDTH_IN: Final = 5.2  # Width of a figure in one of the page's two columns [in]
+MARKERS = "os^DvX*P<h>pd"
+WIDTH_IN = 5.2  # Width of a figure in one of the page's two columns [in]
 
 # Looks have matplotlib's names, which `chart.Curve` has, too.
 Look = dict[str, Any]
 # true values: where the measured ones agree, their line lies in the band
-BAND: Final[Look] = {"linewidth": 4.0, "alpha": 0.28}
-LINE: Final[Look] = {"linewidth": 1.0}  # measured or commanded values
-START: Final[Look] = {"marker": "o", "markersize": 5, "linestyle": "none"}
-END: Final[Look] = {"marker": "x", "markersize": 6, "linewidth": 1.6, "linestyle": "none"}
-AIM: Final[Look] = {"marker": "D", "markersize": 8, "linestyle": "none"}
-THRESHOLD: Final[Look] = {"color": GOAL, "linestyle": "--", "linewidth": 1.2}
-FAILED: Final[Look] = {
+BAND: Look = {"linewidth": 4.0, "alpha": 0.28}
+LINE: Look = {"linewidth": 1.0}  # measured or commanded values
+START: Look = {"marker": "o", "markersize": 5, "linestyle": "none"}
+END: Look = {"marker": "x", "markersize": 6, "linewidth": 1.6, "linestyle": "none"}
+AIM: Look = {"marker": "D", "markersize": 8, "linestyle": "none"}
+THRESHOLD: Look = {"color": GOAL, "linestyle": "--", "linewidth": 1.2}
+FAILED: Look = {
     "marker": "x",
     "color": LOST,
     "linestyle": "none",
     "markersize": 3.5,
     "markeredgewidth": 0.9,
 }
-DASHES: Final[tuple[Any, ...]] = ("-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)))
-TIME: Final = "time [s]"  # The label of every axis of time
+DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)))
+TIME = "time [s]"  # The label of every axis of time
 
 
 def line_color(i: int) -> str:

@@ -6,10 +6,11 @@ from __future__ import annotations
 
 import base64
 import re
+from collections.abc import Sequence
 from functools import cache
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from vstestbed.core.files import write_whole
 from vstestbed.report.marks import counted, number
@@ -29,10 +30,22 @@ __all__ = [
     "write_page",
 ]
 
-# Of a table that sorts: sort key (None sorts last), words, whether the number differs
-# significantly, and small lines below it.
-Cell = tuple[float | str | None, str, bool, list[str]]
-NO_CELL: Final[Cell] = (None, "–", False, [])
+
+class Cell(NamedTuple):
+    """A cell of a table that sorts."""
+
+    key: float | str | None  # to sort by; None sorts last
+    words: str
+    real: bool = False  # whether the number differs significantly
+    small: Sequence[str] = ()  # lines below it
+
+    @classmethod
+    def named(cls, words: str) -> Cell:
+        """One that sorts by its words."""
+        return cls(words, words)
+
+
+NO_CELL = Cell(None, "–")
 # Title, source, and the name of the file beside the page, "" of an embedded one
 Film = tuple[str, str, str]
 
@@ -71,11 +84,9 @@ def cell(page: str, height_px: int) -> str:
 
 def film_of(title: str, path: Path, embedded: bool) -> Film:
     """A film, embedded in the page or linked to the file beside it."""
-    return (
-        (title, data_url("video/mp4", path.read_bytes()), "")
-        if embedded
-        else (title, path.name, path.name)
-    )
+    if not embedded:
+        return title, path.name, path.name
+    return title, data_url("video/mp4", path.read_bytes()), ""
 
 
 def data_url(kind: str, content: bytes) -> str:
@@ -98,8 +109,10 @@ def _environment() -> Environment:
         return Markup(re.sub(r"10\^(-?\d+)", r"10<sup>\1</sup>", escape(words)))
 
     def sort_key(key: float | str | None) -> str:
+        if key is None:
+            return ""
         # nine digits: values that differ only beyond the shown ones still sort
-        return "" if key is None else str(key) if isinstance(key, str | int) else f"{key:.9g}"
+        return f"{key:.9g}" if isinstance(key, float) else str(key)
 
     found = Environment(
         loader=PackageLoader("vstestbed.report"),
@@ -123,7 +136,7 @@ def _tex(words: str) -> str:
     return str(words).translate(_TEX)
 
 
-_TEX: Final = str.maketrans(
+_TEX = str.maketrans(
     {c: f"\\{c}" for c in "&%$#_{}"}
     | {
         "\\": r"\textbackslash{}",

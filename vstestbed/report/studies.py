@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 from vstestbed.core.files import make_folder
 from vstestbed.core.geometry import Array
 from vstestbed.report.canvas import new_figure, panels, publish, style
-from vstestbed.report.marks import FAILED, GOAL, INK, LINE_COLORS, number
+from vstestbed.report.marks import FAILED, GOAL, INK, LINE_COLORS, Look, number
 from vstestbed.report.pages import NO_CELL, Cell, data_url, write_page
 from vstestbed.tasks.metrics import Metric
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.patches import Patch
 
 __all__ = [
     "Branches",
@@ -39,7 +40,7 @@ __all__ = [
 # Basins of attraction as a figure: the colour shows the outcome of a start, the shade its time to
 # converge.
 BasinAxis = tuple[str, str, float, float]  # Name, unit, low, high
-ENDINGS: Final = {
+ENDINGS = {
     "target_lost": ("#f3c04b", "target out of sight"),
     "plane_crossed": ("#d55e00", "behind the target's plane"),
     "local_minimum": ("#a0287a", "local minimum"),
@@ -51,7 +52,7 @@ ENDINGS: Final = {
 Ito 2008), so that colour-blind readers can distinguish them, also in a grey print; blues are
 reserved for the converged.
 """
-OTHER: Final = "#000000"
+OTHER = "#000000"
 """Colour of any other outcome."""
 # Blues (r, g, b) of the earliest and the latest starts to converge
 SOON, LATE = np.array([0.86, 0.94, 1.0]), np.array([0.02, 0.22, 0.42])
@@ -83,65 +84,46 @@ def draw_basin(maps: Sequence[BasinMap], x: BasinAxis, y: BasinAxis) -> Figure:
     """One panel per law, all with the same scale of shades, and a legend of the colours below."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LinearSegmentedColormap, Normalize
-    from matplotlib.patches import Patch
 
     columns = min(BASIN_COLUMNS, len(maps))
     rows = math.ceil(len(maps) / columns)
     drawn = new_figure(PANEL_IN * rows + 0.75, max(PANEL_IN * columns + 0.4, 4.6))
-    times = (
-        np.concatenate([time_s[np.isfinite(time_s)] for _, _, time_s in maps])
-        if maps
-        else np.zeros(0)
-    )
+    times = np.concatenate([time_s[np.isfinite(time_s)] for _, _, time_s in maps])
     # percentiles: a few extreme times must not compress the scale of all others
     soonest, latest = np.percentile(times, [1, 99]).tolist() if len(times) else (0.0, 1.0)
     grid = panels(drawn, len(maps), columns, sharex=True, sharey=True)
-    for i, (axes, one) in enumerate(zip(grid, maps, strict=True)):
-        axes.imshow(
-            colours(one, soonest, latest),
-            origin="lower",
-            extent=(x[2], x[3], y[2], y[3]),
-            aspect="auto",
-            interpolation="nearest",
-        )
+    for axes, (law, endings, _), one in zip(grid, maps, maps, strict=True):
+        shown = colours(one, soonest, latest)
+        extent = (x[2], x[3], y[2], y[3])
+        axes.imshow(shown, origin="lower", extent=extent, aspect="auto", interpolation="nearest")
         axes.grid(False)
-        flown = one[1][one[1] != "interrupted"]
-        axes.set_title(
-            f"{one[0]}: {100 * float(np.mean(flown == 'converged')):.1f} %"
-            if len(flown)
-            else one[0]
-        )
-        if i + columns >= len(maps):
-            axes.set_xlabel(f"{x[0]} [{x[1]}]")
-            axes.tick_params(labelbottom=True)
-        if i % columns == 0:
-            axes.set_ylabel(f"{y[0]} [{y[1]}]")
+        flown = endings[endings != "interrupted"]
+        share = f": {100 * float(np.mean(flown == 'converged')):.1f} %" if len(flown) else ""
+        axes.set_title(law + share)
+    for axes in grid[-columns:]:
+        axes.set_xlabel(f"{x[0]} [{x[1]}]")
+        axes.tick_params(labelbottom=True)
+    for axes in grid[::columns]:
+        axes.set_ylabel(f"{y[0]} [{y[1]}]")
     # a colour bar of the times to converge, and a legend of the outcomes that occur
     blues = LinearSegmentedColormap.from_list("converged", [tuple(SOON), tuple(LATE)])
-    bar = drawn.colorbar(
-        ScalarMappable(Normalize(soonest, latest), blues),
-        ax=grid,
-        location="right",
-        shrink=0.9,
-        aspect=30,
-        pad=0.015,
-    )
+    scale = ScalarMappable(Normalize(soonest, latest), blues)
+    bar = drawn.colorbar(scale, ax=grid, location="right", shrink=0.9, aspect=30, pad=0.015)
     bar.set_label("converged: time [s]")
-    present = {str(e) for _, endings, _ in maps for e in np.unique(endings.astype(str))} - {
-        "converged"
-    }
-    patches = [
-        Patch(color=colour, label=name)
-        for ending, (colour, name) in ENDINGS.items()
-        if ending in present
-    ]
-    patches += [
-        Patch(color=OTHER, label=ending.replace("_", " "))
-        for ending in sorted(present - set(ENDINGS))
-    ]
+    patches = _outcome_patches(maps)
     if patches:
         drawn.legend(handles=patches, loc="outside lower center", ncols=min(5, len(patches)))
     return drawn
+
+
+def _outcome_patches(maps: Sequence[BasinMap]) -> list[Patch]:
+    """Entries of the legend for the outcomes that occur, those without a colour last."""
+    from matplotlib.patches import Patch
+
+    present = {str(ending) for _, endings, _ in maps for ending in np.unique(endings.astype(str))}
+    known = [Patch(color=color, label=name) for e, (color, name) in ENDINGS.items() if e in present]
+    others = sorted(present - {"converged", *ENDINGS})
+    return known + [Patch(color=OTHER, label=ending.replace("_", " ")) for ending in others]
 
 
 def write_basin(
@@ -185,19 +167,17 @@ def _plate(folder: Path, name: str, draw: Callable[[], Figure]) -> str:
 
 def _fixed_coordinates(summaries: Sequence[Mapping[str, Any]]) -> str:
     """The coordinates that are not on the map, for each law if they differ."""
-    # + 0.0 turns the -0.0 of rounding into 0
-    fixed = [
-        [
+    values = []
+    for s in summaries:
+        # + 0.0 turns the -0.0 of rounding into 0
+        fixed = [
             f"{name} {round(one['value'], 6) + 0.0:g} {one['unit']}"
             for name, one in s["fixed"].items()
         ]
-        for s in summaries
-    ]
-    values = [", ".join(those) for those in fixed]
+        values.append(", ".join(fixed))
     if len(set(values)) > 1:
-        return "; " + "; ".join(
-            f"{s['label']}: {at}" for s, at in zip(summaries, values, strict=True)
-        )
+        values = [f"{s['label']}: {at}" for s, at in zip(summaries, values, strict=True)]
+        return "; " + "; ".join(values)
     return f"; {values[0]}" if values else ""
 
 
@@ -221,7 +201,7 @@ def _basin_table(summaries: Sequence[Mapping[str, Any]]) -> tuple[list[str], lis
 
 # Convergence maps as a figure: the share of seeds that converged in each cell, and how most of the
 # others ended.
-LETTERS: Final = {
+LETTERS = {
     "target_lost": "L",
     "local_minimum": "M",
     "diverged": "D",
@@ -298,45 +278,50 @@ def _letters(maps: Sequence[ConvergenceMap]) -> str:
     )
 
 
-def write_sweep(
-    folder: Path,
-    maps: Sequence[ConvergenceMap],
-    x: SweepAxis,
-    y: SweepAxis,
-    seeds: int,
-    description: str,
-    command: str,
-    caution: str = "",
-) -> Path:
-    """Write `convergence.png`, `convergence.pdf` and `report.html`, with a caution on top; returns
-    the page's path.
-    """
+@dataclass(frozen=True)
+class Sweep:
+    """What the page of a sweep shows."""
+
+    maps: Sequence[ConvergenceMap]
+    x: SweepAxis
+    y: SweepAxis
+    seeds: int  # of each cell
+    description: str
+    caution: str = ""  # stands on top
+
+
+def write_sweep(folder: Path, sweep: Sweep, command: str) -> Path:
+    """Write `convergence.png`, `convergence.pdf` and `report.html`; returns the page's path."""
+    maps, x, y = sweep.maps, sweep.x, sweep.y
     caption = (
-        f"Share of {seeds} seeds that reached the goal [%];"
+        f"Share of {sweep.seeds} seeds that reached the goal [%];"
         f" the letter: how most of the others ended ({_letters(maps)})."
     )
     image = _plate(folder, "convergence", lambda: draw_sweep(maps, x, y))
     what = "median distance from the true goal, of those that converged [mm]"
     found = []
-    for label, _, _, away_m in maps:  # its lines from top to bottom, as in the figure
-        away = (
-            [number(1e3 * m) if math.isfinite(m) else "-" for m in row] for row in away_m.tolist()
-        )
-        lines = [[value, *row] for value, row in zip(y[1], away, strict=True)]
-        found.append((f"{label}: {what}", ["", *x[1]], lines[::-1]))
-    content = {
-        "plate": ("Where it converges", image, caption),
-        "tables": found,
-        "about": description,
-        "caution": caution,
-    }
-    return write_page(folder, "study.html", "Convergence", **content, command=command)
+    for label, _, _, away_m in maps:
+        lines = []
+        for value, row in zip(y[1], away_m.tolist(), strict=True):
+            lines.append([value, *(number(1e3 * m) if math.isfinite(m) else "-" for m in row)])
+        lines.reverse()  # from top to bottom, as in the figure
+        found.append((f"{label}: {what}", ["", *x[1]], lines))
+    return write_page(
+        folder,
+        "study.html",
+        "Convergence",
+        plate=("Where it converges", image, caption),
+        tables=found,
+        about=sweep.description,
+        caution=sweep.caution,
+        command=command,
+    )
 
 
 # Measured and theoretical gain limits over delay as a figure, beside the root locus of the loop.
 
 Rows = Sequence[Mapping[str, Any]]
-DELAY_COLUMNS: Final = (
+DELAY_COLUMNS = (
     ("delay_frames", "delay [frames]", "g"),
     ("latency_s", "delay [s]", ".3g"),
     ("gain_limit", "gain limit [1/s]", ".4g"),
@@ -365,30 +350,15 @@ def draw_delay(rows: Rows, loci: Sequence[Branches]) -> Figure:
     rows = sorted(rows, key=lambda row: row["delay_frames"])
     d = [row["delay_frames"] for row in rows]
     left.plot(d, [row["g_theory"] for row in rows], color=INK, label="theory for the delay alone")
-    if any(row["g_with_lag"] for row in rows):
-        left.plot(
-            d,
-            [row["g_with_lag"] for row in rows],
-            "--",
-            color=LINE_COLORS[1],
-            label="theory, servos' measured lag",
-        )
-    if any(row.get("g_linear") for row in rows):
-        left.plot(
-            d,
-            [row["g_linear"] for row in rows],
-            ":",
-            color=LINE_COLORS[2],
-            label="linear model of the arm",
-        )
-    left.plot(
-        d,
-        [row["g_measured"] for row in rows],
-        "o",
-        color=LINE_COLORS[0],
-        markersize=5,
-        label="measured",
-    )
+    for key, line, color, label in (
+        ("g_with_lag", "--", LINE_COLORS[1], "theory, servos' measured lag"),
+        ("g_linear", ":", LINE_COLORS[2], "linear model of the arm"),
+    ):
+        values = [row.get(key) for row in rows]
+        if any(values):
+            left.plot(d, values, line, color=color, label=label)
+    measured = [row["g_measured"] for row in rows]
+    left.plot(d, measured, "o", color=LINE_COLORS[0], markersize=5, label="measured")
     left.set_xlabel("delay d [frames]")
     left.set_ylabel("largest stable gain x period")
     left.set_ylim(bottom=0)
@@ -433,11 +403,8 @@ def write_delay(
         "Left: the gain, times the camera's period, at which the loop becomes unstable."
         " Right: its poles as the gain rises."
     )
-    plate = (
-        "Gain limit over delay",
-        _plate(folder, "delay", lambda: draw_delay(rows, loci)),
-        caption,
-    )
+    image = _plate(folder, "delay", lambda: draw_delay(rows, loci))
+    plate = ("Gain limit over delay", image, caption)
     # columns without any value are left out: a robot without joints has no lag
     shown = [
         column for column in DELAY_COLUMNS if any(row.get(column[0]) is not None for row in rows)
@@ -454,8 +421,8 @@ def write_delay(
 
 # A search for good settings, and its figures: trials over each parameter, the best so far.
 
-TUNING_COLUMNS: Final = 3  # Panels side by side
-WIDE: Final = 20.0  # Ratio of the largest to the smallest number from which an axis is logarithmic
+TUNING_COLUMNS = 3  # Panels side by side
+WIDE = 20.0  # Ratio of the largest to the smallest number from which an axis is logarithmic
 
 
 @dataclass(frozen=True)
@@ -547,37 +514,24 @@ def _points(axes: Axes, found: TuningPage, places: Sequence[float]) -> None:
     """A point for each trial: later ones darker, the best one ringed, those with failed runs as
     crosses at the top.
     """
+    top = axes.get_xaxis_transform()
     for trial, x in zip(found.trials, places, strict=True):
-        if trial.whole:
-            shade = 0.25 + 0.65 * (trial.number + 1) / len(found.trials)
-            axes.plot(
-                x,
-                trial.mean,
-                "o",
-                markersize=4.5,
-                color=LINE_COLORS[0],
-                alpha=shade,
-                markeredgewidth=0,
-            )
-            if trial.number == found.best:
-                axes.plot(
-                    x,
-                    trial.mean,
-                    "o",
-                    markersize=10,
-                    markerfacecolor="none",
-                    markeredgecolor=GOAL,
-                    markeredgewidth=1.8,
-                )
-        else:
-            axes.plot(x, 0.97, transform=axes.get_xaxis_transform(), clip_on=False, **FAILED)
+        if not trial.whole:
+            axes.plot(x, 0.97, transform=top, clip_on=False, **FAILED)
+            continue
+        shade = 0.25 + 0.65 * (trial.number + 1) / len(found.trials)
+        dot: Look = {"color": LINE_COLORS[0], "alpha": shade, "markeredgewidth": 0}
+        axes.plot(x, trial.mean, "o", markersize=4.5, **dot)
+        if trial.number == found.best:
+            ring: Look = {"markeredgecolor": GOAL, "markeredgewidth": 1.8}
+            axes.plot(x, trial.mean, "o", markersize=10, markerfacecolor="none", **ring)
     means = [trial.mean for trial in found.trials if trial.whole]
     if means and min(means) > 0 and max(means) / min(means) > WIDE:
         axes.set_yscale("log")
     axes.margins(y=0.12)
 
 
-PLOTS: Final = (
+PLOTS = (
     (
         "slices",
         "Trials over each parameter",
@@ -629,28 +583,17 @@ def write_tuning(folder: Path, found: TuningPage) -> Path:
 def _trials(found: TuningPage) -> list[list[Cell]]:
     """A line for each trial, the best ones first."""
     sign = -1 if found.higher else 1
-    order = sorted(
-        found.trials,
-        key=lambda t: (
-            t.runs - t.reached or not t.runs,
-            sign * t.mean if math.isfinite(t.mean) else math.inf,
-        ),
-    )
-    return [
-        [
-            (
-                trial.number,
-                f"{trial.number}{' (the best)' if trial.number == found.best else ''}",
-                False,
-                [],
-            ),
-            *(
-                (value, value if isinstance(value, str) else f"{value:g}", False, [])
-                for value in trial.values
-            ),
-            (trial.reached, f"{trial.reached} of {trial.runs}", False, []),
-            (trial.mean, number(trial.mean), False, []) if math.isfinite(trial.mean) else NO_CELL,
-            (trial.note, trial.note, False, []),
-        ]
-        for trial in order
-    ]
+
+    def goodness(trial: TrialRow) -> tuple[int, float]:
+        mean = sign * trial.mean if math.isfinite(trial.mean) else math.inf
+        return trial.runs - trial.reached or not trial.runs, mean
+
+    lines = []
+    for trial in sorted(found.trials, key=goodness):
+        name = f"{trial.number} (the best)" if trial.number == found.best else str(trial.number)
+        values = [Cell(v, v if isinstance(v, str) else f"{v:g}") for v in trial.values]
+        reached = Cell(trial.reached, f"{trial.reached} of {trial.runs}")
+        mean = Cell(trial.mean, number(trial.mean)) if math.isfinite(trial.mean) else NO_CELL
+        note = Cell.named(trial.note)
+        lines.append([Cell(trial.number, name), *values, reached, mean, note])
+    return lines

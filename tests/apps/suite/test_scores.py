@@ -229,12 +229,12 @@ def test_a_profile_is_of_ratios_to_the_best_law_of_each_start() -> None:
 
 def test_page_and_tables_name_units_blanks_and_chances(tmp_path: Path) -> None:
     table = rows({"slow": [6.0, 7, 8, 9, 10, 11, 12], "fast": [1.0, 2, 3, 4, 5, 6, 7]})
-    tasks = {"t": TaskOfSuite(Metric.named("tracking_rms_m"), "to follow")}
+    without = {"odd": "it has no wheels"}
+    tasks = {"t": TaskOfSuite(Metric.named("tracking_rms_m"), "to follow", without)}
     write_scores(
         tmp_path,
         table,
         tasks,
-        {("odd", "t"): "it has no wheels"},
         "Suite X",
         "About it",
         "vstestbed suite",

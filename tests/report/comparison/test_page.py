@@ -18,7 +18,7 @@ from vstestbed.core.errors import OutputError
 from vstestbed.report.canvas import DPI
 from vstestbed.report.comparison import page as comparison_page
 from vstestbed.report.comparison.figures import read_series
-from vstestbed.report.comparison.page import write_comparison_report
+from vstestbed.report.comparison.page import Drawing, write_comparison_report
 from vstestbed.report.comparison.results import DEFAULT_METRICS, ComparisonResults
 from vstestbed.report.comparison.statistics import success_rate
 from vstestbed.report.marks import number
@@ -55,7 +55,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, pl.DataFrame]
         ComparisonResults(frame, description="Two <gains>."),
         command="vstestbed compare slow fast --seeds 12",
         film=folder / "comparison.mp4",
-        paper=True,
+        drawing=Drawing(paper=True),
     )
     assert path == folder / "report.html"
     return folder, frame
@@ -257,7 +257,7 @@ def test_the_same_comparison_gives_the_same_bytes(
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as workers:
         assert (
             write_comparison_report(
-                folder, ComparisonResults(frame), call=workers.submit
+                folder, ComparisonResults(frame), drawing=Drawing(workers.submit)
             ).read_bytes()
             == page
         )
@@ -354,7 +354,7 @@ def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
     frame = build(tmp_path, {"a": 1.0}, 1)
     (tmp_path / "figures").write_text("a file in the way")
     with pytest.raises(OutputError, match="figures"):
-        write_comparison_report(tmp_path, ComparisonResults(frame), paper=True)
+        write_comparison_report(tmp_path, ComparisonResults(frame), drawing=Drawing(paper=True))
     assert not (tmp_path / "report.html").exists()
 
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import closing
 from fractions import Fraction
 from itertools import islice
@@ -64,16 +64,15 @@ def features_of(scenario: Scenario, state: tuple[str, ...]) -> Features:
     """The features of a scenario's dataset as `meta/info.json` has them; state: names of what is
     known of the robot's own sensors.
     """
-    camera, n = scenario.camera, scenario.rows
-    even = (camera.height + camera.height % 2, camera.width + camera.width % 2)  # as films are
-    pixels = [f"{axis}_{i} [px]" for i in range(n) for axis in "uv"]
+    camera = scenario.camera
+    n = scenario.rows
+    height = camera.height + camera.height % 2  # even, as films are
+    width = camera.width + camera.width % 2
     info = {
-        "video.height": even[0],
-        "video.width": even[1],
+        "video.height": height,
+        "video.width": width,
         "video.codec": "h264",
         "video.pix_fmt": "yuv420p",
-    }
-    info |= {
         "video.is_depth_map": False,
         "video.channels": 3,
         "has_audio": False,
@@ -82,35 +81,34 @@ def features_of(scenario: Scenario, state: tuple[str, ...]) -> Features:
     found: Features = {
         IMAGE: {
             "dtype": "video",
-            "shape": [*even, 3],
+            "shape": [height, width, 3],
             "names": ["height", "width", "channels"],
             "info": info,
         }
     }
     if state:
-        joints = scenario.robot.joints
-        units = [
-            unit_of_joint(name, scenario) if name in joints else SENSOR_UNITS.get(name, "rad")
-            for name in state
-        ]
         found["observation.state"] = _vector(
-            [f"{name} [{unit}]" for name, unit in zip(state, units, strict=True)]
+            [f"{name} [{_unit_of(name, scenario)}]" for name in state]
         )
     found["action"] = _vector(_action_names(scenario))
     if n:
-        found |= {
-            "markers": _vector(pixels),
-            "seen": _vector([f"marker_{i}" for i in range(n)]),
-            "goal": _vector(pixels),
-        }
-    found["sim_time"] = {"dtype": "float64", "shape": [1], "names": None}
-    found["next.reward"] = {"dtype": "float32", "shape": [1], "names": None}
-    found |= {
-        f"next.{name}": {"dtype": "bool", "shape": [1], "names": None}
-        for name in ("done", "success")
-    }
-    found["timestamp"] = {"dtype": "float32", "shape": [1], "names": None}
-    return found | {name: {"dtype": "int64", "shape": [1], "names": None} for name in COUNTERS}
+        pixels = [f"{name} [px]" for name in _of_markers(n, "")]
+        found["markers"] = _vector(pixels)
+        found["seen"] = _vector([f"marker_{i}" for i in range(n)])
+        found["goal"] = _vector(pixels)
+    found["sim_time"] = _number("float64")
+    found["next.reward"] = _number("float32")
+    found["next.done"] = _number("bool")
+    found["next.success"] = _number("bool")
+    found["timestamp"] = _number("float32")
+    return found | {name: _number("int64") for name in COUNTERS}
+
+
+def _unit_of(sensor: str, scenario: Scenario) -> str:
+    """The unit of one of the robot's own sensors."""
+    if sensor in scenario.robot.joints:
+        return unit_of_joint(sensor, scenario)
+    return SENSOR_UNITS.get(sensor, "rad")
 
 
 def numbers_of(run: RecordedRun) -> tuple[Numbers, tuple[str, ...]]:
@@ -121,69 +119,61 @@ def numbers_of(run: RecordedRun) -> tuple[Numbers, tuple[str, ...]]:
     `sim_time` is when they were taken.
     """
     s = run.scenario
-    markers = [f"{axis}{at}_{i}" for i in range(s.rows) for axis in "uv" for at in ("", "_goal")]
-    columns = [
-        "t",
-        *markers,
-        *(f"cmd_{name}" for name in TWIST),
-        *(f"q_{name}" for name in s.robot.joints),
-        *s.own_columns,
-    ]
+    uv = _of_markers(s.rows, "")
+    goal = _of_markers(s.rows, "_goal")
+    twist = [f"cmd_{name}" for name in TWIST]
+    joints = {name: f"q_{name}" for name in s.robot.joints}
+    columns = ["t", *uv, *goal, *twist, *joints.values(), *s.own_columns]
     log = {name: run.log[name] for name in columns}
-    n, frames = s.rows, len(log["t"])
+    frames = len(log["t"])
     # what the log tells of the robot's own sensors, in the order of `agent_pos`: joints, and what
     # the robot's columns have
     own = s.robot.log(s.robot.supervisor(s.goal.lands, *s.stop.lost_after)).proprioception(log)
-    known = {name: log[f"q_{name}"] for name in s.robot.joints} | own
+    known = {name: log[column] for name, column in joints.items()} | own
     state = {name: known[name] for name in s.robot.proprioception_names if name in known}
-    last = np.arange(frames) == frames - 1
-    found: Numbers = {"observation.state": np.stack(list(state.values()), axis=1)} if state else {}
+    found: Numbers = {}
+    if state:
+        found["observation.state"] = _side_by_side(state, state)
     found["action"] = actions(s, log)
-    if n:
-        uv, goal = (
-            np.stack([log[f"{axis}{at}_{i}"] for i in range(n) for axis in "uv"], axis=1)
-            for at in ("", "_goal")
-        )
-        found |= {
-            "markers": _pixels(uv),
-            "seen": np.isfinite(uv[:, ::2]).astype(float),
-            "goal": _pixels(goal),
-        }
-    found |= {
-        "sim_time": log["t"],
-        "next.reward": rewards(run),
-        "next.done": last,
-        "next.success": last & run.success,
-    }
+    if uv:
+        measured = _side_by_side(log, uv)
+        found["markers"] = _pixels(measured)
+        found["seen"] = np.isfinite(measured[:, ::2]).astype(float)
+        found["goal"] = _pixels(_side_by_side(log, goal))
+    last = np.arange(frames) == frames - 1
+    found["sim_time"] = log["t"]
+    found["next.reward"] = rewards(run)
+    found["next.done"] = last
+    found["next.success"] = last & run.success
     found["timestamp"] = np.arange(frames) / s.camera.rate_hz
     found["frame_index"] = np.arange(frames)
     return {name: values.reshape(frames, -1) for name, values in found.items()}, tuple(state)
+
+
+def _of_markers(n: int, suffix: str) -> list[str]:
+    """The columns of n markers' pixels."""
+    return [f"{axis}{suffix}_{i}" for i in range(n) for axis in "uv"]
+
+
+def _side_by_side(columns: Mapping[str, Array], names: Iterable[str]) -> Array:
+    """Columns (T,) as an array (T, k)."""
+    return np.stack([columns[name] for name in names], axis=1)
 
 
 def rewards(run: RecordedRun) -> Array:
     """The environment's reward of its default settings from each frame to the next; at the last
     one, from there to the end.
     """
-    s, reward, ended = (
-        run.scenario,
-        Reward("potential"),
-        run.summary is not None and not Outcome[run.outcome].out_of_time,
-    )
-    log = {name: run.log[name] for name in ("error_px", *s.own_columns)}
-    rows = [{name: float(values[i]) for name, values in log.items()} for i in range(len(run.log))]
-    phi = [
-        potential(
-            in_a_frame(s.goal.judged, s.stop, row), int(row.get("view", 0)), len(s.goal_views)
-        )
-        for row in rows
-    ]
+    s = run.scenario
+    ended = run.summary is not None and not Outcome[run.outcome].out_of_time
+    phi = []
+    for row in run.log.frame().select("error_px", *s.own_columns).rows(named=True):
+        judged = in_a_frame(s.goal.judged, s.stop, row)
+        phi.append(potential(judged, int(row.get("view", 0)), len(s.goal_views)))
     last = np.arange(len(phi)) == len(phi) - 1
-    return np.asarray(
-        reward.of_step(
-            np.array(phi), np.append(phi[1:], phi[-1]), last & ended, last & run.success
-        ),
-        dtype=float,
-    )
+    after = np.append(phi[1:], phi[-1])
+    of_steps = Reward("potential").of_step(np.array(phi), after, last & ended, last & run.success)
+    return np.asarray(of_steps, dtype=float)
 
 
 def actions(scenario: Scenario, log: dict[str, Array]) -> Array:
@@ -192,19 +182,13 @@ def actions(scenario: Scenario, log: dict[str, Array]) -> Array:
     """
     robot, mount = scenario.robot, Mount.of(scenario.believed_camera.mount.T)
     unit = action_unit(scenario.law.limits, robot.motion_basis(mount, robot.start_joints()))
-    twists = np.stack([log[f"cmd_{name}"] for name in TWIST], axis=1)
-    q = (
-        np.stack([log[f"q_{name}"] for name in robot.joints], axis=1)
-        if robot.joints
-        else np.zeros((len(twists), 0))
-    )
-    bases = (robot.motion_basis(mount_at(scenario, mount, at), at) for at in q)
-    return np.array(
-        [
-            np.clip(np.linalg.pinv(basis) @ twist / unit, -1.0, 1.0)
-            for basis, twist in zip(bases, twists, strict=True)
-        ]
-    )
+    twists = _side_by_side(log, [f"cmd_{name}" for name in TWIST])
+    joints = np.array([log[f"q_{name}"] for name in robot.joints]).reshape(-1, len(twists))
+    found = []
+    for twist, q in zip(twists, joints.T, strict=True):
+        basis = robot.motion_basis(mount_at(scenario, mount, q), q)
+        found.append(np.clip(np.linalg.pinv(basis) @ twist / unit, -1.0, 1.0))
+    return np.array(found)
 
 
 def _pixels(uv: Array) -> Array:
@@ -223,6 +207,10 @@ def _action_names(scenario: Scenario) -> list[str]:
         f"{name} [{value:g} {unit}]"
         for name, value, unit in zip(names, most.tolist(), units, strict=True)
     ]
+
+
+def _number(dtype: str) -> dict[str, Any]:
+    return {"dtype": dtype, "shape": [1], "names": None}
 
 
 def _vector(names: list[str]) -> dict[str, Any]:

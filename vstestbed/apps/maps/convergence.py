@@ -26,7 +26,7 @@ from vstestbed.core.errors import (
 from vstestbed.core.files import write_table
 from vstestbed.core.outcome import Outcome
 from vstestbed.loop.session import run, uninterrupted
-from vstestbed.report.studies import ConvergenceMap, write_sweep
+from vstestbed.report.studies import ConvergenceMap, Sweep, write_sweep
 from vstestbed.scenario.plugins import load_plugins
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.studies.comparison.plan import Comparison, Job, Jobs, controllers, must_be_few
@@ -253,24 +253,20 @@ def write(folder: Path, study: Study, ended: Ended, command: str = "") -> Path:
         (path, [_short(value) for value in values])
         for path, values in study.comparison.axes.items()
     ]
-    seeds = study.comparison.seeds or 0
     left = len(study.runs) - len(ended)
     caution = (
         f"Interrupted: {left:,} of {len(study.runs):,} runs are missing,"
         " and the shares are of fewer seeds."
-        if left
-        else ""
     )
-    return write_sweep(
-        folder,
+    sweep = Sweep(
         study.maps(ended),
         axes[0],
         axes[1],
-        seeds,
+        study.comparison.seeds or 0,
         study.comparison.description,
-        command,
-        caution,
+        caution if left else "",
     )
+    return write_sweep(folder, sweep, command)
 
 
 def _short(value: object) -> str:

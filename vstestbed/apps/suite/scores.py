@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,7 +24,7 @@ from vstestbed.report.comparison.statistics import (
     success_rate,
 )
 from vstestbed.report.marks import LINE_COLORS, RULE, line_color
-from vstestbed.report.pages import write_page
+from vstestbed.report.pages import text_of, write_page
 from vstestbed.tasks.metrics import Metric
 
 FIGURES = "figures"  # the page's figures for a paper
@@ -42,6 +42,8 @@ class TaskOfSuite:
 
     metric: Metric
     asks: str = ""
+    without: Mapping[str, str] = field(default_factory=dict[str, str])
+    """The laws that take no part in it, each with the reason."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,11 @@ class Score:
     rank: IntervalEstimate
     gap: IntervalEstimate
     values: Array
+
+    @property
+    def reached(self) -> int:
+        """How many of its runs reached the goal."""
+        return round(self.rate.mean * self.rate.n)
 
     @property
     def behind(self) -> bool:
@@ -100,12 +107,16 @@ def _of_task(runs: pl.DataFrame, task: str) -> Iterator[Score]:
     from scipy.stats import rankdata
 
     laws = runs["law"].unique(maintain_order=True).to_list()
-    reached, values = _by_start(runs, "success", laws), _by_start(runs, "value", laws)
+    reached = _by_start(runs, "success", laws)
+    values = _by_start(runs, "value", laws)
     flown = np.isfinite(reached).all(axis=0)  # starts that every law has flown
     # one that crashed counts as the worst
     values = np.where(np.isnan(values), np.nanmax(values, initial=0.0), values)[:, flown]
-    means, n = values.mean(axis=1), values.shape[1]
-    ranks, first, behind = rankdata(means), int(np.argmin(means)), differences(values)
+    n = values.shape[1]
+    means = values.mean(axis=1)
+    ranks = rankdata(means)
+    first = int(np.argmin(means))
+    behind = differences(values)
     beaten = [pair for pair, one in behind.items() if _beyond_chance(one)]
     for i, law in enumerate(laws):
         done = reached[i][np.isfinite(reached[i])]
@@ -162,7 +173,7 @@ def overall(found: Sequence[Score]) -> list[Standing]:
     by: dict[str, dict[str, Score]] = {}
     for score in found:
         by.setdefault(score.law, {})[score.task] = score
-    standings: list[Standing] = []
+    standings = []
     for tasks in dict.fromkeys(tuple(own) for own in by.values()):
         named = {
             law: [own[task].values for task in tasks]
@@ -179,7 +190,8 @@ def _standings(flown: Mapping[str, Sequence[Array]]) -> list[Standing]:
     """
     from scipy.stats import rankdata
 
-    rng, tail = np.random.default_rng(0), 50 * (1 - CONFIDENCE)
+    rng = np.random.default_rng(0)
+    tail = 50 * (1 - CONFIDENCE)
     # each (laws, starts)
     tasks = [np.array(values) for values in zip(*flown.values(), strict=True)]
     mean = np.mean([rankdata(values.mean(axis=1)) for values in tasks], axis=0)
@@ -232,7 +244,6 @@ def write_scores(
     out: Path,
     runs: pl.DataFrame,
     tasks: Mapping[str, TaskOfSuite],
-    blank: Mapping[tuple[str, str], str],
     heading: str,
     about: str,
     command: str,
@@ -240,51 +251,15 @@ def write_scores(
     """Write `scores.csv`, `scores.tex`, `figures/` and `report.html` into a suite's folder; the
     scores.
 
-    tasks: by name. blank: why a law takes no part in a task, by law and task. heading, about,
-    command: of the page.
+    tasks: by name. heading, about, command: of the page.
     """
     found = scores(runs)
+    ranked = overall(found)
+    means = [(s.law, s.tasks, s.place, s.of, *s.rank[:3], *s.alike[1:3]) for s in ranked]
+    ranks = pl.DataFrame(means, MEAN_RANKS, orient="row").fill_nan(None)
     write_whole(out / "scores.csv", _table(found, tasks).write_csv())
     write_whole(out / "scores.tex", latex(found, tasks))
-    ranked, by = overall(found), {(s.law, s.task): s for s in found}
-    means = [(s.law, s.tasks, s.place, s.of, *s.rank[:3], *s.alike[1:3]) for s in ranked]
-    write_whole(
-        out / "ranks.csv", pl.DataFrame(means, MEAN_RANKS, orient="row").fill_nan(None).write_csv()
-    )
-    lines = [
-        [
-            s.law,
-            [
-                f"{s.rank.mean:.1f} of {s.tasks} tasks",
-                f"{_ends(s.rank)} on these",
-                f"{_ends(s.alike)} on tasks like these",
-            ],
-            f"{s.place} of {s.of}",
-            *(_cell(by.get((s.law, task)), one) for task, one in tasks.items()),
-        ]
-        for s in ranked
-    ]
-    tables = [
-        (
-            "Scores",
-            ["law", "mean rank", "place among the laws that flew these tasks", *tasks],
-            lines,
-        ),
-        (
-            "Beyond chance",
-            ["task", "best mean", "not behind beyond chance", "behind"],
-            _chances(found, tasks),
-        ),
-        ("Tasks", ["task", "what it asks of a law", "ranked by", "laws"], _asked(found, tasks)),
-    ]
-    if blank:
-        tables.append(
-            (
-                "Without part",
-                ["law", "task", "why"],
-                [[law, task, why] for (law, task), why in blank.items()],
-            )
-        )
+    write_whole(out / "ranks.csv", ranks.write_csv())
     of_ranks = (
         "Rank by the mean of each task's number, 1 is the best,"
         " as tests of all pairs leave it open; no mark: not flown."
@@ -298,8 +273,34 @@ def write_scores(
         ("Ranks", _drawn_ranks(found, place), of_ranks),
         ("Profile", _drawn_profile(runs, [s.law for s in ranked], place), of_profile),
     ]
+    tables = _page_tables(found, ranked, tasks)
     write_page(out, "study.html", heading, about=about, plots=plots, tables=tables, command=command)
     return found
+
+
+def _page_tables(
+    found: Sequence[Score], ranked: Sequence[Standing], tasks: Mapping[str, TaskOfSuite]
+) -> list[tuple[str, list[str], list[list[Any]]]]:
+    """The page's tables, each with title, heads and lines."""
+    by = {(s.law, s.task): s for s in found}
+    lines = []
+    for s in ranked:
+        small = [f"{_ends(s.rank)} on these", f"{_ends(s.alike)} on tasks like these"]
+        mean = [f"{s.rank.mean:.1f} of {s.tasks} tasks", *small]
+        cells = [_cell(by.get((s.law, task)), one) for task, one in tasks.items()]
+        lines.append([s.law, mean, f"{s.place} of {s.of}", *cells])
+    heads = ["law", "mean rank", "place among the laws that flew these tasks", *tasks]
+    of_chances = ["task", "best mean", "not behind beyond chance", "behind"]
+    asked = ["task", "what it asks of a law", "ranked by", "laws"]
+    tables: list[tuple[str, list[str], list[list[Any]]]] = [
+        ("Scores", heads, lines),
+        ("Beyond chance", of_chances, _chances(found, tasks)),
+        ("Tasks", asked, _asked(found, tasks)),
+    ]
+    blank = [[law, name, why] for name, t in tasks.items() for law, why in t.without.items()]
+    if blank:
+        tables.append(("Without part", ["law", "task", "why"], blank))
+    return tables
 
 
 def _table(found: Sequence[Score], tasks: Mapping[str, TaskOfSuite]) -> pl.DataFrame:
@@ -310,14 +311,12 @@ def _table(found: Sequence[Score], tasks: Mapping[str, TaskOfSuite]) -> pl.DataF
             "task": s.task,
             "law": s.law,
             "metric": tasks[s.task].metric.label,
-            "reached": round(s.rate.mean * s.rate.n),
+            "reached": s.reached,
+            "runs": s.rate.n,
         }
-        row["runs"] = s.rate.n
         for name in ("rate", "value", "rank", "gap"):
-            row |= {
-                f"{name}_{end}": number
-                for end, number in zip(("mean", "low", "high"), getattr(s, name)[:3], strict=True)
-            }
+            for end in ("mean", "low", "high"):
+                row[f"{name}_{end}"] = getattr(getattr(s, name), end)
         rows.append(row | {"gap_p": s.gap.p})
     return pl.DataFrame(rows).with_columns(pl.selectors.float().fill_nan(None))
 
@@ -332,16 +331,11 @@ def _chances(found: Sequence[Score], tasks: Mapping[str, TaskOfSuite]) -> list[l
     """
     lines = []
     for task in tasks:
-        if of_task := sorted((s for s in found if s.task == task), key=lambda s: s.value.mean):
+        of_task = sorted((s for s in found if s.task == task), key=lambda s: s.value.mean)
+        if of_task:
             close = [s.law for s in of_task[1:] if not s.behind]
-            lines.append(
-                [
-                    task,
-                    of_task[0].law,
-                    ", ".join(close) or "-",
-                    f"{sum(s.behind for s in of_task)} of {len(of_task) - 1}",
-                ]
-            )
+            behind = f"{sum(s.behind for s in of_task)} of {len(of_task) - 1}"
+            lines.append([task, of_task[0].law, ", ".join(close) or "-", behind])
     return lines
 
 
@@ -358,19 +352,19 @@ def _cell(score: Score | None, task: TaskOfSuite) -> list[str]:
     """
     if score is None:
         return ["-"]
-    rate, value, rank, unit = score.rate, score.value, score.rank, task.metric.unit
+    rate = score.rate
+    value = score.value
+    rank = score.rank
     return [
-        (
-            f"{round(rate.mean * rate.n)} of {rate.n}"
-            f" ({100 * rate.low:.0f} to {100 * rate.high:.0f} %)"
-        ),
-        f"{value.mean:.3g} {unit} ({value.low:.3g} to {value.high:.3g})",
+        f"{score.reached} of {rate.n} ({100 * rate.low:.0f} to {100 * rate.high:.0f} %)",
+        f"{value.mean:.3g} {task.metric.unit} ({value.low:.3g} to {value.high:.3g})",
         f"rank {rank.mean:.3g} ({rank.low:.3g} to {rank.high:.3g})",
     ]
 
 
 def _drawn_ranks(found: Sequence[Score], place: Path) -> str:
-    tasks, order = list(dict.fromkeys(s.task for s in found)), [s.law for s in overall(found)]
+    tasks = list(dict.fromkeys(s.task for s in found))
+    order = [s.law for s in overall(found)]
     down = -(-len(tasks) // 6)
     across = -(-len(tasks) // down)
     with style():
@@ -426,18 +420,5 @@ def latex(found: Sequence[Score], tasks: Mapping[str, TaskOfSuite]) -> str:
     number.
     """
     by = {(s.law, s.task): s for s in found}
-    lines = [
-        r"\begin{tabular}{lr" + "r" * len(tasks) + "}",
-        " & ".join(["law", "mean rank", *tasks]) + r" \\ \hline",
-    ]
-    for law, rank, *_ in overall(found):
-        words = [
-            f"{round(s.rate.mean * s.rate.n)}/{s.rate.n}, {s.value.mean:.3g} {one.metric.unit}"
-            if (s := by.get((law, t)))
-            else "--"
-            for t, one in tasks.items()
-        ]
-        lines.append(
-            " & ".join([law.replace("_", r"\_"), f"{rank.mean:.1f} {_ends(rank)}", *words]) + r" \\"
-        )
-    return "\n".join([*lines, r"\end{tabular}", ""])
+    lines = [[_ends(s.rank), s, [by.get((s.law, task)) for task in tasks]] for s in overall(found)]
+    return text_of("scores.tex", tasks=tasks, lines=lines) + "\n"

@@ -13,7 +13,7 @@ import math
 import os
 import re
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -516,14 +516,18 @@ class SuiteEntry:
             f"{self.suite.description}. {self.about['starts'].capitalize()};"
             f" files {self.about['sha256'][:12]}. {HOW}"
         )
-        tasks = {
-            name: TaskOfSuite(Metric.named(task.metric), task.asks)
-            for name, task in self.suite.tasks.items()
-        }
         write_whole(out / "runs.csv", runs.write_csv())
-        return write_scores(
-            out, shown, tasks, self.blank, f"Suite {self.path.stem}", about, self.command
-        )
+        heading = f"Suite {self.path.stem}"
+        return write_scores(out, shown, self.shown_tasks(self.laws), heading, about, self.command)
+
+    def shown_tasks(self, laws: Container[str]) -> dict[str, TaskOfSuite]:
+        """The tasks as their scores show them, by name, with the laws that take no part."""
+        found: dict[str, TaskOfSuite] = {}
+        for name, task in self.suite.tasks.items():
+            blank = {law: why for (law, of), why in self.blank.items() if of == name}
+            without = {law: why for law, why in blank.items() if law in laws}
+            found[name] = TaskOfSuite(Metric.named(task.metric), task.asks, without)
+        return found
 
 
 def opened(

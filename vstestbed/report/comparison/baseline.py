@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 import numpy as np
 import polars as pl
@@ -22,16 +22,14 @@ from vstestbed.report.marks import number, signed
 from vstestbed.report.pages import NO_CELL, Cell
 from vstestbed.tasks.metrics import Metric
 
-FILE: Final = "baseline.json"  # File of a comparison's folder that holds its `BaselineChanges`
-TOLERANCE: Final = 0.02
+FILE = "baseline.json"  # File of a comparison's folder that holds its `BaselineChanges`
+TOLERANCE = 0.02
 """Default share of the earlier mean by which a metric may get worse. Another version of a library
 or another processor changes the last digits of pixels, and lets a run converge a frame earlier or
 later, and 40 ms are a hundredth of 4 s: a real difference of that size is no fault of a law.
 """
-LEVEL: Final = 0.05  # Level of the one-sided test on lost runs
-FEWEST: Final = (
-    5  # Fewest runs of which that test can find a loss: 1/2^5 is under LEVEL, 1/2^4 is not
-)
+LEVEL = 0.05  # Level of the one-sided test on lost runs
+FEWEST = 5  # Fewest runs of which that test can find a loss: 1/2^5 is under LEVEL, 1/2^4 is not
 
 # NaN, which JSON has not, is null there
 Number = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
@@ -57,13 +55,11 @@ class MetricChange:
     @property
     def share(self) -> float:
         """The difference as a share of the earlier mean; infinite where that is 0."""
-        return (
-            self.difference / abs(self.before)
-            if self.before
-            else math.copysign(math.inf, self.difference)
-            if self.difference
-            else 0.0
-        )
+        if not self.difference:
+            return 0.0
+        if not self.before:
+            return math.copysign(math.inf, self.difference)
+        return self.difference / abs(self.before)
 
     def worse(self, tolerance: float) -> bool:
         """Whether it got worse by more than a share of the earlier mean; of several runs, with an
@@ -74,6 +70,12 @@ class MetricChange:
             and abs(self.share) > tolerance
             and (self.real or self.n == 1)
         )
+
+    @property
+    def loss(self) -> str:
+        """By how much it got worse, in words."""
+        share = f"{100 * abs(self.share):.3g} %" if math.isfinite(self.share) else "from nothing"
+        return f"{self.title.lower()} {difference_text(self)}, {share} worse"
 
 
 @dataclass(frozen=True)
@@ -103,6 +105,17 @@ class ControllerChange:
         return fewer and (self.chance < LEVEL or self.runs < FEWEST)
 
     @property
+    def loss(self) -> str:
+        """That it fails more often, in words."""
+        why = f"fewer than {FEWEST} runs, so that any loss counts"
+        if self.chance < LEVEL:
+            why = f"p = {self.chance:.2g}"
+        return (
+            f"{self.label}: {self.reached_now} of {self.runs} runs reached the goal,"
+            f" before {self.reached_before} ({why})"
+        )
+
+    @property
     def changed(self) -> bool:
         """Whether anything differs."""
         return bool(self.lost or self.gained or any(m.difference for m in self.metrics if m.n))
@@ -126,24 +139,12 @@ class BaselineChanges:
         found = []
         for c in self.controllers:
             if c.fails_more:
-                why = (
-                    f"p = {c.chance:.2g}"
-                    if c.chance < LEVEL
-                    else f"fewer than {FEWEST} runs, so that any loss counts"
-                )
-                found.append(
-                    f"{c.label}: {c.reached_now} of {c.runs} runs reached the goal,"
-                    f" before {c.reached_before} ({why})"
-                )
-            for m in c.metrics:
-                if m.worse(tolerance):
-                    share = (
-                        f"{100 * abs(m.share):.3g} %" if math.isfinite(m.share) else "from nothing"
-                    )
-                    found.append(
-                        f"{c.label}: {m.title.lower()} {difference_text(m)}, {share} worse"
-                        f" (tolerance {100 * tolerance:g} %)"
-                    )
+                found.append(c.loss)
+            found += [
+                f"{c.label}: {m.loss} (tolerance {100 * tolerance:g} %)"
+                for m in c.metrics
+                if m.worse(tolerance)
+            ]
         return found
 
     def plain(self) -> dict[str, Any]:
@@ -177,16 +178,16 @@ def change_of(
 
 
 def _metric_change(old: ControllerResults, new: ControllerResults, metric: Metric) -> MetricChange:
-    x, y = old.values(metric), new.values(metric)
+    x = old.values(metric)
+    y = new.values(metric)
     used = ((old.success & new.success) | metric.every_pair) & np.isfinite(x) & np.isfinite(y)
     d = paired_difference(y[used], x[used])
-    before, now = (float(v[used].mean()) if used.any() else math.nan for v in (x, y))
     return MetricChange(
         metric.name,
         metric.title,
         metric.unit,
-        before,
-        now,
+        float(x[used].mean()) if used.any() else math.nan,
+        float(y[used].mean()) if used.any() else math.nan,
         d.mean,
         d.low,
         d.high,
@@ -230,7 +231,7 @@ def read_changes(folder: Path) -> BaselineChanges | None:
 # page.
 
 # Differing metrics, and lost runs, that a line of the terminal names; the page has all of them
-MOST: Final = 4
+MOST = 4
 
 
 def text(changes: BaselineChanges) -> str:
@@ -238,34 +239,29 @@ def text(changes: BaselineChanges) -> str:
     surely.
     """
     lines = [f"against {changes.place}: {changes.matched} runs in both"]
-    lines += [f"  only now: {words}" for words in changes.only_now] + [
-        f"  only then: {words}" for words in changes.only_before
-    ]
-    return "\n".join([*lines, *(line for c in changes.controllers for line in _lines(c))])
+    lines += [f"  only now: {words}" for words in changes.only_now]
+    lines += [f"  only then: {words}" for words in changes.only_before]
+    for c in changes.controllers:
+        lines += _lines(c)
+    return "\n".join(lines)
 
 
 def _lines(c: ControllerChange) -> list[str]:
     settings = f"; its scenario differs in {_named(c.settings)}" if c.settings else ""
     if not c.changed:
         return [f"  {c.label}: {c.runs} runs without any difference{settings}"]
-    runs = "".join(
-        f" ({what}: {_named(those)})"
-        for what, those in (("lost", c.lost), ("gained", c.gained))
-        if those
-    )
-    differ = sorted(
-        (m for m in c.metrics if m.n and m.difference), key=lambda m: (not m.real, -abs(m.share))
-    )
-    more = (
-        [f"    {len(differ) - MOST} more numbers differ (report.html)"]
-        if len(differ) > MOST
-        else []
-    )
-    reached = (
-        f"  {c.label}: {c.reached_now} of {c.runs} reached the goal,"
-        f" before {c.reached_before}{runs}{settings}"
-    )
-    return [reached, *(f"    {m.title.lower()} {difference_text(m)}" for m in differ[:MOST]), *more]
+    runs = ""
+    for what, those in (("lost", c.lost), ("gained", c.gained)):
+        if those:
+            runs += f" ({what}: {_named(those)})"
+    differ = [m for m in c.metrics if m.n and m.difference]
+    differ.sort(key=lambda m: (not m.real, -abs(m.share)))
+    reached = f"{c.reached_now} of {c.runs} reached the goal, before {c.reached_before}"
+    lines = [f"  {c.label}: {reached}{runs}{settings}"]
+    lines += [f"    {m.title.lower()} {difference_text(m)}" for m in differ[:MOST]]
+    if len(differ) > MOST:
+        lines.append(f"    {len(differ) - MOST} more numbers differ (report.html)")
+    return lines
 
 
 def _named(words: Sequence[str]) -> str:
@@ -279,54 +275,30 @@ def section(folder: Path) -> dict[str, Any] | None:
     changes = read_changes(folder)
     if changes is None:
         return None
-    note = (
-        f"{changes.matched} runs are in both. The numbers:"
-        " the mean now minus the mean then over the runs that reached the goal both times"
-        " (what a run has on its way: over all runs), its 95 % interval below. Bold with a dot:"
-        " the interval excludes zero. An unchanged program gives 0 everywhere on the same machine."
-    )
-    notes = (
-        [note]
-        + [f"Only now: {words}." for words in changes.only_now]
-        + [f"Only then: {words}." for words in changes.only_before]
-    )
-    notes += [
-        f"{c.label}: its scenario differs in {', '.join(c.settings)}."
-        for c in changes.controllers
-        if c.settings
-    ]
-    names = dict.fromkeys((m.title, m.unit) for c in changes.controllers for m in c.metrics)
+    metrics = [m for c in changes.controllers for m in c.metrics]
+    names = dict.fromkeys(f"{m.title} [{m.unit}]" if m.unit else m.title for m in metrics)
     return {
-        "place": changes.place,
+        "changes": changes,
         "tolerance": f"{100 * TOLERANCE:g}",
         "verdict": changes.regressions() or ["Nothing got worse."],
-        "heads": [
-            "Controller",
-            "Reached the goal",
-            *(f"{title} [{unit}]" if unit else title for title, unit in names),
-        ],
+        "heads": ["Controller", "Reached the goal", *names],
         "lines": [
-            [(c.label, c.label, False, []), _goals(c), *map(_cell, c.metrics)]
-            for c in changes.controllers
+            [Cell.named(c.label), _goals(c), *map(_cell, c.metrics)] for c in changes.controllers
         ],
-        "notes": notes,
     }
 
 
 def _goals(c: ControllerChange) -> Cell:
     change = c.reached_now - c.reached_before
-    small = [
-        f"{c.reached_now} of {c.runs}, before {c.reached_before}",
-        *(f"lost {run}" for run in c.lost),
-    ]
-    return change, signed(change), c.fails_more, [*small, *(f"gained {run}" for run in c.gained)]
+    small = [f"{c.reached_now} of {c.runs}, before {c.reached_before}"]
+    small += [f"lost {run}" for run in c.lost]
+    small += [f"gained {run}" for run in c.gained]
+    return Cell(change, signed(change), c.fails_more, small)
 
 
 def _cell(m: MetricChange) -> Cell:
+    if not m.n:
+        return NO_CELL
     interval = [f"[{signed(m.low)},", f"{signed(m.high)}]"] if math.isfinite(m.low) else []
     small = [*interval, f"before {number(m.before)}"]
-    return (
-        (m.difference, signed(m.difference), bool(m.real and m.difference), small)
-        if m.n
-        else NO_CELL
-    )
+    return Cell(m.difference, signed(m.difference), m.real and m.difference != 0, small)

@@ -4,11 +4,11 @@ a paper need different sizes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import polars as pl
@@ -69,9 +69,8 @@ class Data:
     # of each controller, shape (runs, G) [unit of `measured`]; NaN while the target is lost and for
     # runs without a log
     errors: tuple[NDArray[np.float32], ...] = ()
-    sampled: int | None = (
-        None  # the errors are of so many first runs of each controller; None: of all
-    )
+    # the errors are of so many first runs of each controller; None: of all
+    sampled: int | None = None
     # which error it is of each controller, with the threshold
     measured: tuple[MeasuredError, ...] = ()
 
@@ -163,9 +162,8 @@ def _resampled(path: Path, column: str, t: Array) -> Array:
     )
 
 
-BANDS = (
-    4  # Most controllers whose quartile bands are drawn in one panel: more bands hide each other
-)
+# Most controllers whose quartile bands are drawn in one panel: more bands hide each other
+BANDS = 4
 # Most controllers with a line, a row or a panel of their own: lines of more cannot be told apart
 PANELS = 24
 # Single runs drawn in all panels of `each_run` together, and fewest and most in one panel
@@ -209,19 +207,7 @@ def each_run(data: Data, width_in: float) -> Figure:
         axes.set_title(wrapped(data.labels[i], 28))
         axes.xaxis.set_tick_params(labelbottom=i + columns >= n)
     for error, those in units.items():
-        quartiles = {i: data.quartiles(i) for i in those}
-        for i in those:
-            for k in those:
-                if k != i:
-                    grid[i].plot(data.t, _shown(quartiles[k][1]), color=RULE, linewidth=0.8)
-            _draw_runs(grid[i], data, i)
-            _draw_quartiles(grid[i], data.t, quartiles[i], look(i) | {"linestyle": "-"}, band=True)
-        _error_axes(
-            [grid[i] for i in those],
-            data.t[-1],
-            error,
-            [*quartiles.values(), *(data.errors[i] for i in those)],
-        )
+        _draw_alike({i: grid[i] for i in those}, data, error)
         if len(units) > 1:
             for i in those:
                 grid[i].set_ylabel(wrapped(error.label, 16))
@@ -230,6 +216,19 @@ def each_run(data: Data, width_in: float) -> Figure:
     if len(units) == 1:
         figure.supylabel(next(iter(units)).label, fontsize=size)
     return figure
+
+
+def _draw_alike(grid: Mapping[int, Axes], data: Data, error: MeasuredError) -> None:
+    """The controllers that are measured in the same, by number, each with the others' medians."""
+    quartiles = {i: data.quartiles(i) for i in grid}
+    for i, axes in grid.items():
+        for k, (_, median, _) in quartiles.items():
+            if k != i:
+                axes.plot(data.t, _shown(median), color=RULE, linewidth=0.8)
+        _draw_runs(axes, data, i)
+        _draw_quartiles(axes, data.t, quartiles[i], look(i) | {"linestyle": "-"}, band=True)
+    shown = [*quartiles.values(), *(data.errors[i] for i in grid)]
+    _error_axes([*grid.values()], data.t[-1], error, shown)
 
 
 def _draw_runs(axes: Axes, data: Data, i: int) -> None:
@@ -310,24 +309,31 @@ def differences(data: Data, width_in: float) -> Figure | None:
     """Forest plot: mean paired difference of each metric with its interval, significant ones in
     colour; None without any interval.
     """
-    # all pairs of up to four controllers; of more, each controller against the first
-    rows = data.pairs if len(data.labels) <= BANDS else [p for p in data.pairs if p.a == 0]
-    shown = [
-        m for m in data.shown if any(p.differences.get(m.name, NOTHING).n >= FEWEST for p in rows)
-    ]
-    if not shown:
-        # a single controller, or so few seeds on which both reached the goal that intervals would
-        # hide all else
-        return None
+    rows = data.pairs
+    if len(data.labels) > BANDS:  # each controller against the first
+        rows = [pair for pair in rows if pair.a == 0]
+    shown = [m for m in data.shown if _has_interval(m, rows)]
+    # else a single controller, or so few seeds on which both reached the goal that intervals would
+    # hide all else
+    return _forest(data, rows, shown, width_in) if shown else None
+
+
+def _forest(data: Data, rows: Sequence[Pair], shown: Sequence[Metric], width_in: float) -> Figure:
+    """A row for each pair, a panel for each metric."""
     names = [wrapped(f"{data.labels[p.b]} \N{MINUS SIGN} {data.labels[p.a]}", 30) for p in rows]
-    height = 0.22 * sum(name.count("\n") + 1 for name in names) + 0.06 * len(rows) + 1.0
-    grid, figure = metric_panels(shown, width_in, height, 5, names)
+    lines = "".join(names).count("\n") + len(names)
+    grid, figure = metric_panels(shown, width_in, 0.22 * lines + 0.06 * len(rows) + 1.0, 5, names)
     for axes, metric in zip(grid, shown, strict=True):
         axes.axvline(0, color=INK, linewidth=0.8)
         largest = [_draw_difference(axes, row, pair, metric.name) for row, pair in enumerate(rows)]
         if max(largest) <= 1e-9:  # rounding errors, in any display unit, would fill the width
             axes.set_xlim(-1, 1)
     return figure
+
+
+def _has_interval(metric: Metric, rows: Sequence[Pair]) -> bool:
+    found = [pair.differences.get(metric.name, NOTHING) for pair in rows]
+    return max((d.n for d in found), default=0) >= FEWEST
 
 
 def _draw_difference(axes: Axes, row: int, pair: Pair, metric: str) -> float:
@@ -556,8 +562,8 @@ def _draw_strip(
 # over all values of a metric.
 
 # Most steps of a drawn curve: more cannot be told apart, and each is a part of the page's SVG
-STEPS: Final = 300
-COLUMNS: Final = 5  # Most panels side by side
+STEPS = 300
+COLUMNS = 5  # Most panels side by side
 
 
 def profile(controller: ControllerResults, metric: Metric) -> tuple[Array, Array, int]:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -33,8 +33,19 @@ STRONGEST = 0.55  # Opacity of the strongest colour: the numbers are read throug
 LEAST_SHOWN_S = 0.005  # Changes and errors below this are shown as 0 [s, mm]
 ALL = "all"  # Heading of the mean over all columns
 Place = TypeVar("Place", bound=Hashable)
-# Of a cell: words, colour, strength of the colour from 0 to 1, whether in bold
-Look = tuple[str, str, float, bool]
+Start = tuple[str, int]  # Task and seed
+
+
+class Look(NamedTuple):
+    """How a cell is drawn."""
+
+    words: str
+    color: str
+    strength: float  # of the colour, from 0 to 1
+    bold: bool = False
+
+
+Looks = dict[tuple[int, int], Look]  # by row and column
 
 
 @dataclass(frozen=True)
@@ -51,19 +62,14 @@ class Grid:
         axes = comparison.axes
         if len(axes) != 2 or comparison.table["scenario"].n_unique() > 1:
             return None
-        rows, columns = (
-            tuple(dict.fromkeys(map(value_text, comparison.table[axis].to_list()))) for axis in axes
-        )
-        if len(rows) < LEAST:
+        rows, columns = ([*map(value_text, comparison.table[axis].to_list())] for axis in axes)
+        found = cls(tuple(dict.fromkeys(rows)), tuple(dict.fromkeys(columns)), {})
+        if len(found.rows) < LEAST:
             return None
-        at = {
-            (
-                rows.index(value_text(c.runs[axes[0]][0])),
-                columns.index(value_text(c.runs[axes[1]][0])),
-            ): c
-            for c in comparison.controllers
-        }
-        return cls(rows, columns, at)
+        for c in comparison.controllers:
+            row, column = (value_text(c.runs[axis][0]) for axis in axes)
+            found.cells[found.rows.index(row), found.columns.index(column)] = c
+        return found
 
     def changes(self, metric: Metric) -> dict[tuple[int, int], IntervalEstimate]:
         """Paired differences of each row to the first by cell, over the starts from which both
@@ -75,20 +81,18 @@ class Grid:
         """Paired differences of each row to the first: of each start the mean over the columns in
         which both reached the goal from it.
         """
-        found = self._by_start(metric)
-        return {
-            i: _mean([cell for (row, _), cell in found.items() if row == i])
-            for i in dict.fromkeys(i for i, _ in found)
-        }
+        columns: dict[int, list[dict[Start, float]]] = {}
+        for (row, _), cell in self._by_start(metric).items():
+            columns.setdefault(row, []).append(cell)
+        return {row: _mean(cells) for row, cells in columns.items()}
 
-    def _by_start(self, metric: Metric) -> dict[tuple[int, int], dict[tuple[str, int], float]]:
+    def _by_start(self, metric: Metric) -> dict[tuple[int, int], dict[Start, float]]:
         """By cell the change against the first row from each start from which both reached the
         goal.
         """
-        cells = self.cells.items()
         return {
             (i, j): _changes(self.cells[0, j], cell, metric)
-            for (i, j), cell in cells
+            for (i, j), cell in self.cells.items()
             if i > 0 and (0, j) in self.cells
         }
 
@@ -106,27 +110,29 @@ def real(changes: Mapping[Place, IntervalEstimate]) -> set[Place]:
 
 def _changes(
     before: ControllerResults, now: ControllerResults, metric: Metric
-) -> dict[tuple[str, int], float]:
-    first, second = (
-        {s: (v, ok) for s, v, ok in zip(c.starts, c.values(metric), c.success, strict=True)}
-        for c in (before, now)
-    )
-    both = [
-        s for s in first if s in second and (metric.every_pair or (first[s][1] and second[s][1]))
-    ]
-    return {s: float(second[s][0] - first[s][0]) for s in both}
+) -> dict[Start, float]:
+    first = _counted(before, metric)
+    second = _counted(now, metric)
+    return {start: second[start] - first[start] for start in first if start in second}
 
 
-def _mean(columns: list[dict[tuple[str, int], float]]) -> IntervalEstimate:
+def _counted(controller: ControllerResults, metric: Metric) -> dict[Start, float]:
+    """The metric by start, of the runs that count in a pair."""
+    values = controller.values(metric).tolist()
+    runs = zip(controller.starts, values, controller.success, strict=True)
+    return {start: value for start, value, reached in runs if reached or metric.every_pair}
+
+
+def _mean(columns: list[dict[Start, float]]) -> IntervalEstimate:
     """Of the changes from each start the mean over the columns, and of these the mean over the
     starts with its test.
     """
-    starts = dict.fromkeys(start for column in columns for start in column)
-    values = [
-        [column[start] for column in columns if np.isfinite(column.get(start, np.nan))]
-        for start in starts
-    ]
-    means = [np.mean(those) for those in values if those]
+    known: dict[Start, list[float]] = {}
+    for column in columns:
+        for start, change in column.items():
+            if np.isfinite(change):
+                known.setdefault(start, []).append(change)
+    means = [np.mean(those) for those in known.values()]
     return paired_difference(means, np.zeros(len(means)))
 
 
@@ -144,10 +150,8 @@ def grid(data: Data, width_in: float) -> Figure | None:
     _reached(panels[0], found)
     _times(panels[1], found)
     _errors(panels[2], found)
-    for axes in panels:
-        names = (
-            [*found.columns, ALL] if axes is panels[1] and len(found.columns) > 1 else found.columns
-        )
+    with_all = (*found.columns, ALL) if n > 1 else found.columns
+    for axes, names in zip(panels, (found.columns, with_all, found.columns), strict=True):
         axes.set_xlim(-0.5, len(names) - 0.5)
         axes.set_ylim(len(found.rows) - 0.5, -0.5)
         axes.set_xticks(range(len(names)), names, rotation=60, ha="right", rotation_mode="anchor")
@@ -162,13 +166,12 @@ def grid(data: Data, width_in: float) -> Figure | None:
 def _reached(axes: Axes, found: Grid) -> None:
     most = max(len(c.success) for c in found.cells.values())
     axes.set_title(f"reached the goal, of {most}")
-    looks: dict[tuple[int, int], Look] = {}
+    looks: Looks = {}
     for at, c in found.cells.items():
-        good, n = int(c.success.sum()), len(c.success)
+        good = int(c.success.sum())
+        n = len(c.success)
         words = str(good) if n == most else f"{good}/{n}"
-        looks[at] = (
-            (words, GOAL, 0.25, False) if good == n else (words, LOST, 1 - 0.7 * good / n, False)
-        )
+        looks[at] = Look(words, GOAL, 0.25) if good == n else Look(words, LOST, 1 - 0.7 * good / n)
     _draw(axes, found, looks)
 
 
@@ -177,71 +180,57 @@ def _times(axes: Axes, found: Grid) -> None:
     chance; last their mean.
     """
     axes.set_title(f"{TIME.title.lower()}, change [s]")
-    changes, overall = found.changes(TIME), found.overall(TIME)
+    changes = found.changes(TIME)
+    overall = found.overall(TIME)
     marked: set[Any] = real(changes) | real(overall)
-    largest = (
-        max((abs(d.mean) for d in changes.values() if np.isfinite(d.mean)), default=0.0) or 1.0
-    )
-
-    def change(at: Any, d: IntervalEstimate) -> Look:
-        sign = "" if not abs(d.mean) >= LEAST_SHOWN_S else "+" if d.mean > 0 else "\N{MINUS SIGN}"
-        size = abs(d.mean) / largest if np.isfinite(d.mean) else 0.0
-        return (
-            sign + _short(abs(d.mean)),
-            LINE_COLORS[1] if d.mean > 0 else LINE_COLORS[0],
-            size**0.5,
-            at in marked,
-        )
-
-    looks: dict[tuple[int, int], Look] = {
-        at: (_short(c.quartiles(TIME)[1]), LINE_COLORS[7], 0.15, False)
-        for at, c in found.cells.items()
-    }
-    looks |= {at: change(at, d) for at, d in changes.items()}
+    sizes = [abs(d.mean) for d in changes.values() if np.isfinite(d.mean)]
+    largest = max(sizes, default=0.0) or 1.0
+    looks: Looks = {}
+    for at, c in found.cells.items():
+        looks[at] = Look(_short(c.quartiles(TIME)[1]), LINE_COLORS[7], 0.15)
+    for at, d in changes.items():
+        looks[at] = _change(d, largest, at in marked)
     if len(found.columns) > 1:
-        looks |= {(i, len(found.columns)): change(i, d) for i, d in overall.items()}
+        for i, d in overall.items():
+            looks[i, len(found.columns)] = _change(d, largest, i in marked)
     _draw(axes, found, looks)
+
+
+def _change(d: IntervalEstimate, largest: float, bold: bool) -> Look:
+    """A change with its sign, the stronger the larger."""
+    later = d.mean > 0
+    size = abs(d.mean)
+    words = _short(size)
+    if size >= LEAST_SHOWN_S:
+        words = ("+" if later else "\N{MINUS SIGN}") + words
+    strength = (size / largest) ** 0.5 if np.isfinite(size) else 0.0
+    return Look(words, LINE_COLORS[1 if later else 0], strength, bold)
 
 
 def _errors(axes: Axes, found: Grid) -> None:
     axes.set_title("final error, median [mm]")
     values = {at: c.quartiles(ERROR)[1] for at, c in found.cells.items()}
-    known = np.log([v for v in values.values() if np.isfinite(v) and v > 0] or [1.0])
-    low, span = known.min(), float(np.ptp(known)) or 1.0
-    strength = {
-        at: float(np.log(v) - low) / span if np.isfinite(v) and v > 0 else 0.0
-        for at, v in values.items()
-    }
-    _draw(
-        axes,
-        found,
-        {at: (_short(value), LINE_COLORS[1], strength[at], False) for at, value in values.items()},
-    )
+    sizes = {at: np.log(v) for at, v in values.items() if np.isfinite(v) and v > 0}
+    low = min(sizes.values(), default=0.0)
+    span = max(sizes.values(), default=0.0) - low or 1.0
+    looks: Looks = {}
+    for at, value in values.items():
+        strength = float(sizes[at] - low) / span if at in sizes else 0.0
+        looks[at] = Look(_short(value), LINE_COLORS[1], strength)
+    _draw(axes, found, looks)
 
 
-def _draw(axes: Axes, found: Grid, looks: Mapping[tuple[int, int], Look]) -> None:
+def _draw(axes: Axes, found: Grid, looks: Looks) -> None:
     from matplotlib.patches import Rectangle
 
     # a number has its full size in up to nine columns
     size = 6.5 * min(1.0, 9 / len(found.columns))
     for (i, j), (words, color, strength, bold) in looks.items():
-        axes.add_patch(
-            Rectangle(
-                (j - 0.47, i - 0.45),
-                0.94,
-                0.9,
-                color=color,
-                alpha=STRONGEST * strength,
-                linewidth=0,
-            )
-        )
-        style: dict[str, Any] = {
-            "ha": "center",
-            "va": "center",
-            "fontsize": size,
-            "fontweight": "bold" if bold else "normal",
-        }
-        axes.text(j, i, words, **style)
+        alpha = STRONGEST * strength
+        place = (j - 0.47, i - 0.45)
+        axes.add_patch(Rectangle(place, 0.94, 0.9, color=color, alpha=alpha, linewidth=0))
+        weight = "bold" if bold else "normal"
+        axes.text(j, i, words, ha="center", va="center", fontsize=size, fontweight=weight)
 
 
 def _short(value: float) -> str:

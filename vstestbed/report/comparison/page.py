@@ -10,9 +10,10 @@ import shlex
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future
+from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from vstestbed.core.errors import VstestbedError
 from vstestbed.core.files import make_folder, write_whole
@@ -52,46 +53,41 @@ def differing(runs: Sequence[Path]) -> tuple[str, ...]:
 
 def _from_first(runs: Iterable[Path]) -> Iterator[set[str]]:
     """The fields in which the scenario of each run's folder differs from the first."""
-    first: dict[str, object] | None = None
+    first: dict[str, object] = {}
     for run in runs:
         record = run / RESOLVED
         # all values of its scenario; a run that could not begin has none written out
-        scenario = (
-            plain_mapping(record.read_text(encoding="utf-8"), str(record), "")[0]
-            if record.is_file()
-            else to_mapping(load_run(run))
-        )
-        fields = {
-            name: value for name, value in _flat(scenario) if name.split(".")[0] not in UNCOMPARED
-        }
-        first = fields if first is None else first
+        if record.is_file():
+            scenario = plain_mapping(record.read_text(encoding="utf-8"), str(record), "")[0]
+        else:
+            scenario = to_mapping(load_run(run))
+        values = dict(_flat(scenario))
+        fields = {name: values[name] for name in values if name.split(".")[0] not in UNCOMPARED}
+        first = first or fields
         # `...`: a scenario does not have the field
-        yield {
-            name
-            for name in first.keys() | fields.keys()
-            if fields.get(name, ...) != first.get(name, ...)
-        }
+        every = first.keys() | fields.keys()
+        yield {name for name in every if fields.get(name, ...) != first.get(name, ...)}
 
 
 def _flat(value: Any, name: str = "") -> Iterator[tuple[str, object]]:
     """Every scalar of nested mappings and lists with its dotted name."""
-    if isinstance(value, dict | list) and value:
-        for key, inner in value.items() if isinstance(value, dict) else enumerate(value):
-            yield from _flat(inner, f"{name}.{key}" if name else str(key))
-    else:
+    if not isinstance(value, dict | list) or not value:
         yield name, value
+        return
+    for key, inner in value.items() if isinstance(value, dict) else enumerate(value):
+        yield from _flat(inner, f"{name}.{key}".removeprefix("."))
 
 
 # A film up to this size is embedded (base64 makes it 4/3 as large); the page then stays under 20 MB
-FILM_BYTES: Final = 8_000_000
-NOTEBOOK_PX: Final = 480  # Height of a comparison's result in a notebook [px]
+FILM_BYTES = 8_000_000
+NOTEBOOK_PX = 480  # Height of a comparison's result in a notebook [px]
 # Width of a paper's figure over one and two columns (IEEE) [in]
-COLUMN_IN: Final = {1: 3.5, 2: 7.16}
+COLUMN_IN = {1: 3.5, 2: 7.16}
 
 # The figures of a comparison in their order: key (of files, identifiers, and of the caption in
 # `comparison.html`), title, columns that it takes, function that draws it.
 Plot = tuple[str, str, int, Callable[[Data, float], "Figure | None"]]
-PLOTS: Final[tuple[Plot, ...]] = (
+PLOTS: tuple[Plot, ...] = (
     ("error", "Error over time", 1, figures.medians),
     ("success", "Success over time", 1, figures.success),
     ("runs", "Error of single runs", 2, figures.each_run),
@@ -102,8 +98,23 @@ PLOTS: Final[tuple[Plot, ...]] = (
     ("differences", "Paired differences", 2, figures.differences),
 )
 # Controllers from which figures take longer than other processes take to import what draws them
-MANY: Final = 5
-GRID: Final = next((i for i, plot in enumerate(PLOTS) if plot[0] == "grid"), 0)
+MANY = 5
+GRID = next((i for i, plot in enumerate(PLOTS) if plot[0] == "grid"), 0)
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """How the figures of a comparison are drawn."""
+
+    call: Call = at_once  # does it, in other processes perhaps
+    paper: bool = False  # whether for a paper, too (`figures/`)
+
+    def place(self, folder: Path) -> Path | None:
+        """The folder of a comparison's figures for a paper."""
+        return make_folder(folder / "figures") if self.paper else None
+
+
+AT_ONCE = Drawing()
 
 
 def write_comparison_report(
@@ -112,8 +123,7 @@ def write_comparison_report(
     command: str = "",
     film: Path | Future[Path | None] | None = None,
     plugins: Sequence[str] = (),
-    call: Call = at_once,
-    paper: bool = False,
+    drawing: Drawing = AT_ONCE,
 ) -> Path:
     """Write `report.html`, the records `controllers` and `pairs`, and `tables.md` and `tables.tex`;
     returns the page's path.
@@ -121,34 +131,28 @@ def write_comparison_report(
     Args:
         folder, comparison: its results. command: the command line that repeats it.
         film: in the folder, perhaps still in the making; embedded up to 8 MB, else linked.
-        plugins: as in `scenario.load.load`. call: draws the figures. paper: whether to draw them
-            for a paper, too (`figures/`).
+        plugins: as in `scenario.load.load`. drawing: how the figures are drawn.
     """
-    table, all_pairs, means = comparison.table, pairs(comparison), interquartiles(comparison)
+    table = comparison.table
+    all_pairs = pairs(comparison)
+    means = interquartiles(comparison)
     words = findings(comparison, all_pairs)
     write_records(folder, comparison, means, all_pairs, words)
     sections = tables.sections(comparison, means, all_pairs)
     write_tables(folder, words, sections["sections"])
-    place = make_folder(folder / "figures") if paper else None
-    drawn = _figures(folder, comparison, all_pairs, plugins, call, place)
-    filmed, embedded = result_of(film) if isinstance(film, Future) else film, None
+    drawn = _figures(folder, comparison, all_pairs, plugins, drawing)
+    filmed = result_of(film) if isinstance(film, Future) else film
+    embedded = None
     if filmed is not None and filmed.is_file():
-        embedded = film_of(
-            "The same seed, side by side", filmed, filmed.stat().st_size <= FILM_BYTES
-        )
+        small = filmed.stat().st_size <= FILM_BYTES
+        embedded = film_of("The same seed, side by side", filmed, small)
     scenarios = list(dict.fromkeys(map(str, table["scenario"].to_list())))
-    # two or three names fit the heading
-    heading = (
-        " against ".join(scenarios)
-        if 0 < len(scenarios) <= 3
-        else f"Comparison of {len(scenarios)} scenarios"
-    )
+    heading = f"Comparison of {len(scenarios)} scenarios"
+    if 0 < len(scenarios) <= 3:  # two or three names fit the heading
+        heading = " against ".join(scenarios)
     heading += by_one_metric(comparison)
-    counts = (
-        (len(comparison.controllers), "controller"),
-        (table["seed"].n_unique(), "seed"),
-        (len(table), "run"),
-    )
+    controllers = counted(len(comparison.controllers), "controller")
+    seeds = counted(table["seed"].n_unique(), "seed")
     return write_page(
         folder,
         "comparison.html",
@@ -156,7 +160,7 @@ def write_comparison_report(
         title=f"{heading}: comparison",
         description=comparison.description,
         plan=(
-            f"{', '.join(counted(*each) for each in counts)};"
+            f"{controllers}, {seeds}, {counted(len(table), 'run')};"
             " the same seed gives each the same start and noise."
         ),
         found=words,
@@ -197,9 +201,9 @@ def by_one_metric(comparison: ComparisonResults) -> str:
     """`, by path over straight line`, for a title where controllers are compared by one number; ""
     where by several, and by time.
     """
-    if comparison.primary:
-        return f", by {short_title(comparison.primary_metric)}"
-    return f", by {short_title(comparison.shown[0])}" if len(comparison.shown) == 1 else ""
+    only = comparison.shown[0] if len(comparison.shown) == 1 else None
+    metric = comparison.primary_metric if comparison.primary else only
+    return f", by {short_title(metric)}" if metric else ""
 
 
 def write_tables(folder: Path, found: Findings, sections: Sequence[tables.Section]) -> None:
@@ -225,40 +229,46 @@ def _figures(
     comparison: ComparisonResults,
     all_pairs: list[Pair],
     plugins: Sequence[str],
-    call: Call,
-    place: Path | None,
+    drawing: Drawing,
 ) -> dict[str, Any]:
     """All figures for up to PANELS controllers; of more the grid, or without one those of the first
-    PANELS; for papers into `place`.
+    PANELS.
     """
+    place = drawing.place(folder)
     n = len(comparison.controllers)
     if n > PANELS and effects.Grid.of(comparison) is not None:
-        data, numbers = Data(comparison, all_pairs), [GRID]
-        notes = [
+        note = (
             "The grid stands for the figures with a line or a row for each controller,"
             f" since there are {n} of them."
-        ]
-    else:
-        shown = comparison if n <= PANELS else comparison.first(PANELS)
-        chosen = [pair for pair in all_pairs if max(pair.a, pair.b) < PANELS]
-        data, numbers = (
-            read_series(folder, shown, chosen, _measured(folder, shown, plugins)),
-            list(range(len(PLOTS))),
         )
-        notes = [f"The figures show the first {PANELS} of {n} controllers."] if n > PANELS else []
-        if data.sampled:
-            notes.append(
-                f"Errors over time are of the first {data.sampled:,} runs of each controller,"
-                " all else of all runs."
-            )
-    if n < MANY:
-        call = at_once
-    made = [call(_drawn, data, i, place) for i in numbers]
-    drawn = [
-        (PLOTS[i][2], (*PLOTS[i][:2], result_of(one))) for i, one in zip(numbers, made, strict=True)
-    ]
-    narrow, broad = ([f for columns, f in drawn if columns == wanted and f[2]] for wanted in (1, 2))
-    return {"notes": notes, "narrow": narrow, "broad": broad}
+        return {"notes": [note]} | _plots(Data(comparison, all_pairs), [GRID], drawing.call, place)
+    notes = []
+    if n > PANELS:
+        comparison = comparison.first(PANELS)
+        all_pairs = [pair for pair in all_pairs if max(pair.a, pair.b) < PANELS]
+        notes.append(f"The figures show the first {PANELS} of {n} controllers.")
+    measured = _measured(folder, comparison, plugins)
+    data = read_series(folder, comparison, all_pairs, measured)
+    if data.sampled:
+        notes.append(
+            f"Errors over time are of the first {data.sampled:,} runs of each controller,"
+            " all else of all runs."
+        )
+    call = drawing.call if n >= MANY else at_once
+    return {"notes": notes} | _plots(data, range(len(PLOTS)), call, place)
+
+
+def _plots(
+    data: Data, numbers: Sequence[int], call: Call, place: Path | None
+) -> dict[str, list[tuple[str, str, str]]]:
+    """Those of PLOTS that have content, by the columns that they take on the page."""
+    made = [call(_drawn, data, number, place) for number in numbers]
+    found: dict[int, list[tuple[str, str, str]]] = {1: [], 2: []}
+    for number, future in zip(numbers, made, strict=True):
+        key, title, columns, _ = PLOTS[number]
+        if svg := result_of(future):
+            found[columns].append((key, title, svg))
+    return {"narrow": found[1], "broad": found[2]}
 
 
 def _measured(
@@ -267,45 +277,36 @@ def _measured(
     """The error in the image that decides, of each controller; without a threshold where those with
     the same unit differ in it.
     """
-    # one run per controller suffices: seeds do not change the stop block
-    firsts = [folder / str(c.runs["folder"][0]) for c in comparison.controllers]
-    found = [
-        Setting.of(load_run(run, plugins)).image_errors[0] if (run / GIVEN).is_file() else None
-        for run in firsts
-    ]
-    limits: dict[str, set[float | None]] = {}
-    for error in filter(None, found):
-        limits.setdefault(error.unit, set()).add(error.threshold)
-    agreed = {unit: known.pop() if len(known) == 1 else None for unit, known in limits.items()}
-    return [
-        error._replace(threshold=agreed.get(error.unit))
-        for error in (one or MeasuredError() for one in found)
-    ]
+    found = []
+    limits: dict[str, set[float | None]] = defaultdict(set)
+    for controller in comparison.controllers:
+        # one run per controller suffices: seeds do not change the stop block
+        run = folder / str(controller.runs["folder"][0])
+        error = MeasuredError()
+        if (run / GIVEN).is_file():
+            error = Setting.of(load_run(run, plugins)).image_errors[0]
+            limits[error.unit].add(error.threshold)
+        found.append(error)
+    agreed = {unit: known.pop() for unit, known in limits.items() if len(known) == 1}
+    return [error._replace(threshold=agreed.get(error.unit)) for error in found]
 
 
 def _made_of(comparison: ComparisonResults) -> dict[str, Any]:
     """What was compared, and the versions of the software that did it."""
     table = comparison.table
-    plan = {"scenario": _values(table["scenario"].to_list())} | {
-        axis: _values(table[axis].to_list()) for axis in comparison.axes
-    }
+    plan = {name: _values(table[name].to_list()) for name in ("scenario", *comparison.axes)}
     seeds = sorted(set(table["seed"].to_list()))
-    consecutive = len(seeds) > 2 and seeds == list(range(seeds[0], seeds[-1] + 1))
-    plan |= {
-        "seeds": f"{seeds[0]} to {seeds[-1]}" if consecutive else ", ".join(map(str, seeds)),
-        "runs": str(len(table)),
-        "numbers": ", ".join(comparison.metrics),
-    }
-    names = [c for c in table.columns if c.startswith("versions.")]
-    # more than one version of a package if the comparison was resumed after an update
-    versions = [
-        (
-            name.removeprefix("versions."),
-            _values([v for v in table[name].to_list() if v is not None]),
-            "",
-        )
-        for name in names
-    ]
+    plan["seeds"] = ", ".join(map(str, seeds))
+    if len(seeds) > 2 and seeds == list(range(seeds[0], seeds[-1] + 1)):
+        plan["seeds"] = f"{seeds[0]} to {seeds[-1]}"
+    plan["runs"] = str(len(table))
+    plan["numbers"] = ", ".join(comparison.metrics)
+    versions = []
+    for name in table.columns:
+        package = name.removeprefix("versions.")
+        if package != name:
+            # more than one version of a package if the comparison was resumed after an update
+            versions.append((package, _values(table[name].drop_nulls().to_list()), ""))
     return {"made_of": plan, "versions": versions}
 
 
@@ -316,15 +317,14 @@ def _values(values: Sequence[object]) -> str:
 # Failed runs, grouped by outcome and reason, with commands that repeat them and pictures of their
 # ends.
 
-PICTURES: Final = 24
+PICTURES = 24
 # Most pictures in the gallery, and most bytes of all of them: they are embedded in the page
-PICTURE_BYTES: Final = 4_000_000
-LISTED: Final = 300  # Most failed runs whose commands are listed
-SEEDS: Final = 20  # Most seeds of a controller that are named with one kind of failure
-ERRORS: Final = 24
-ERROR_CHARACTERS: Final = (
-    4000  # Most crashed runs whose `error.txt` is shown, and the length of its end that is shown
-)
+PICTURE_BYTES = 4_000_000
+LISTED = 300  # Most failed runs whose commands are listed
+SEEDS = 20  # Most seeds of a controller that are named with one kind of failure
+ERRORS = 24
+# Most crashed runs whose `error.txt` is shown, and the length of its end that is shown
+ERROR_CHARACTERS = 4000
 
 # controller, seed, outcome, reason, and `place`, the folder of a run that did not reach the goal
 Failure = dict[str, Any]
@@ -334,43 +334,62 @@ def failures(folder: Path, comparison: ComparisonResults) -> dict[str, Any]:
     """Failed runs by kind, and runs that were repeated because their worker process died, for
     `failures.html`.
     """
-    kinds: dict[tuple[str, str], list[Failure]] = defaultdict(list)
+    failed = []
+    repeated = []
     for controller in comparison.controllers:
-        for row in controller.runs.filter(~controller.success).iter_rows(named=True):
-            outcome, reason = str(row.get("outcome") or "no outcome"), str(row.get("reason") or "")
-            failure = {
-                "controller": controller.label,
-                "seed": int(row["seed"]),
-                "outcome": outcome,
-                "reason": reason,
-            }
-            # reasons that differ in numbers (times, pixels) only are one kind of failure
-            kinds[outcome, re.sub(r"\d[\d.e+-]*", "#", reason)].append(
-                failure | {"place": folder / str(row["folder"])}
-            )
-    groups = sorted(kinds.values(), key=len, reverse=True)
-    # tracebacks of every kind of crash in turn, since there is room for only a few
-    for failure in _in_turn([g for g in groups if g[0]["outcome"] == "crashed"], ERRORS):
-        with contextlib.suppress(OSError):
-            text = (failure["place"] / "error.txt").read_text(encoding="utf-8", errors="replace")
-            failure["error"] = text[-ERROR_CHARACTERS:].strip()
+        rows = controller.runs.iter_rows(named=True)
+        for row, reached in zip(rows, controller.success, strict=True):
+            failure = _failure(folder, controller.label, row)
+            if row.get("attempts") not in (None, 1):
+                ended = str(row["outcome"]).replace("_", " ")
+                repeated.append(f"{controller.label}, seed {row['seed']} ({ended})")
+            if not reached:
+                failed.append(failure)
+    groups = _kinds(failed)
+    crashed = [group for group in groups if group[0]["outcome"] == "crashed"]
+    for failure in _in_turn(crashed, ERRORS):  # of every kind, since there is room for only a few
+        failure["error"] = _end_of_error(failure["place"])
     for failure in _in_turn(groups, LISTED):
         failure["command"] = rerun_command(failure["place"])
     pictured, pictures = _gallery(groups)
     return {
-        "failed": sum(map(len, groups)),
+        "failed": len(failed),
         "runs": len(comparison.table),
         "listed": LISTED,
         "kinds": [_kind(group) for group in groups],
         "pictured": pictured,
         "pictures": pictures,
-        "repeated": [
-            f"{c.label}, seed {row['seed']} ({str(row['outcome']).replace('_', ' ')})"
-            for c in comparison.controllers
-            for row in c.runs.iter_rows(named=True)
-            if (row.get("attempts") or 1) > 1
-        ],
+        "repeated": repeated,
     }
+
+
+def _kinds(failed: list[Failure]) -> list[list[Failure]]:
+    """The failures by outcome and reason, the most frequent kind first; reasons that differ in
+    numbers (times, pixels) only are one kind.
+    """
+    kinds: dict[tuple[str, str], list[Failure]] = defaultdict(list)
+    for failure in failed:
+        reason = re.sub(r"\d[\d.e+-]*", "#", failure["reason"])
+        kinds[failure["outcome"], reason].append(failure)
+    return sorted(kinds.values(), key=len, reverse=True)
+
+
+def _failure(folder: Path, controller: str, row: dict[str, Any]) -> Failure:
+    return {
+        "controller": controller,
+        "seed": row["seed"],
+        "outcome": str(row.get("outcome") or "no outcome"),
+        "reason": str(row.get("reason") or ""),
+        "place": folder / str(row["folder"]),
+    }
+
+
+def _end_of_error(place: Path) -> str:
+    """The end of a crashed run's traceback; "" where it cannot be read."""
+    with contextlib.suppress(OSError):
+        text = (place / "error.txt").read_text(encoding="utf-8", errors="replace")
+        return text[-ERROR_CHARACTERS:].strip()
+    return ""
 
 
 def rerun_command(place: Path) -> str:
@@ -382,27 +401,22 @@ def _kind(group: list[Failure]) -> dict[str, Any]:
     """One kind of failure: number of runs, seeds of each controller, and those runs whose command
     is shown.
     """
-    first = group[0]["reason"]
-    same = all(failure["reason"] == first for failure in group)
+    reason = group[0]["reason"]
+    same = all(failure["reason"] == reason for failure in group)
     seeds: dict[str, list[str]] = defaultdict(list)
     for failure in group:
         seeds[failure["controller"]].append(str(failure["seed"]))
-    more = {
-        name: f" and {len(s) - SEEDS:,} more" if len(s) > SEEDS else "" for name, s in seeds.items()
-    }
-    who = "; ".join(
-        f"{name}: seed{'s' * (len(s) > 1)} {', '.join(s[:SEEDS])}{more[name]}"
-        for name, s in seeds.items()
-    )
-    shown = [{"error": "", **failure} for failure in group if "command" in failure]
-    reason = first if same else f"{first}, and the like"
+    who = []
+    for name, those in seeds.items():
+        more = f" and {len(those) - SEEDS:,} more" if len(those) > SEEDS else ""
+        who.append(f"{name}: seed{'s' * (len(those) > 1)} {', '.join(those[:SEEDS])}{more}")
     return {
         "outcome": group[0]["outcome"],
         "runs": len(group),
-        "reason": reason,
-        "who": who,
+        "reason": reason if same else f"{reason}, and the like",
+        "who": "; ".join(who),
         "same": same,
-        "shown": shown,
+        "shown": [{"error": "", **failure} for failure in group if "command" in failure],
     }
 
 
@@ -418,15 +432,13 @@ def _gallery(groups: list[list[Failure]]) -> tuple[int, list[tuple[str, str]]]:
     words, every kind of failure in turn.
     """
     with_picture = [[f for f in group if (f["place"] / "end.png").is_file()] for group in groups]
-    room, pictures = PICTURE_BYTES, []
+    room = PICTURE_BYTES
+    pictures = []
     for failure in _in_turn(with_picture, PICTURES):
-        path = failure["place"] / "end.png"
-        if (size := path.stat().st_size) > room:
-            continue  # a smaller one may still fit
-        room -= size
-        words = (
-            f"{failure['controller']}, seed {failure['seed']}:"
-            f" {failure['outcome'].replace('_', ' ')}"
-        )
-        pictures.append((data_url("image/png", path.read_bytes()), words))
+        png = (failure["place"] / "end.png").read_bytes()
+        if len(png) <= room:  # a smaller one may still fit
+            room -= len(png)
+            ended = failure["outcome"].replace("_", " ")
+            words = f"{failure['controller']}, seed {failure['seed']}: {ended}"
+            pictures.append((data_url("image/png", png), words))
     return sum(map(len, with_picture)), pictures

@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,14 +29,14 @@ from vstestbed.tasks.metrics import Metric
 
 __all__ = ["SUCCESS", "Of", "Pair", "against", "has_every_pair", "pairs"]
 
-MOST_CONTROLLERS: Final = 6
+MOST_CONTROLLERS = 6
 """Up to this many controllers every metric of every pair is compared; with more, those of each with
 the reference.
 """
 # Up to this many controllers every pair has a verdict; with more, each controller with the
 # reference
-MOST_PAIRED: Final = 24
-SUCCESS: Final = Metric("success", "Reached the goal", better=1)
+MOST_PAIRED = 24
+SUCCESS = Metric("success", "Reached the goal", better=1)
 Of = Literal["difference", "improvement"]
 Test = tuple[str, Of]  # An exploratory test of a pair: of which metric, and of what
 
@@ -65,9 +65,7 @@ class Pair:
     def exploratory(self) -> dict[Test, float]:
         """P-values of the exploratory tests, each by itself; NaN where there is no test."""
         found: dict[Test, float] = {
-            (name, "difference"): d.p
-            for name, d in self.differences.items()
-            if name != self.primary.name
+            (name, "difference"): self.differences[name].p for name in self.improvements
         }
         found.update({(name, "improvement"): i.p for name, i in self.improvements.items()})
         return found
@@ -97,7 +95,7 @@ class Pair:
 
     def of(self, side: Side | None) -> int | None:
         """The controller on a side."""
-        return None if side is None else self.a if side == "a" else self.b
+        return {"a": self.a, "b": self.b, None: None}[side]
 
     @property
     def deciding(self) -> tuple[float, float]:
@@ -134,7 +132,8 @@ def pairs(comparison: ComparisonResults) -> list[Pair]:
     Three families of tests, each adjusted by Holm: those of the verdicts of all pairs, those of who
     is sooner, and all exploratory ones.
     """
-    n, reference = len(comparison.controllers), comparison.reference_index
+    n = len(comparison.controllers)
+    reference = comparison.reference_index
     chosen = [(reference, b) for b in range(n) if b != reference]
     if has_every_pair(n, comparison.reference):
         chosen = list(combinations(range(n), 2))
@@ -143,7 +142,12 @@ def pairs(comparison: ComparisonResults) -> list[Pair]:
     found = []
     for one, test, verdict in zip(common, tests, judge(tests), strict=True):
         explored = n <= MOST_CONTROLLERS or reference in (one.a, one.b)
-        found.append(_pair(one, test, verdict, comparison.shown if explored else ()))
+        found.append(_pair(one, test, verdict, comparison.exploratory if explored else ()))
+    return _adjusted(found)
+
+
+def _adjusted(found: list[Pair]) -> list[Pair]:
+    """The pairs with the p-values of all exploratory tests together."""
     adjusted = iter(stats.holm([p for pair in found for p in pair.exploratory.values()]))
     return [
         replace(pair, adjusted=dict(zip(pair.exploratory, adjusted, strict=False)))
@@ -151,12 +155,10 @@ def pairs(comparison: ComparisonResults) -> list[Pair]:
     ]
 
 
-def _pair(one: _Common, test: PairTest, verdict: Verdict, shown: Sequence[Metric]) -> Pair:
+def _pair(one: _Common, test: PairTest, verdict: Verdict, metrics: Sequence[Metric]) -> Pair:
     """A pair with its exploratory differences, whose p-values are still to be adjusted."""
-    metrics = [metric for metric in shown if metric != one.primary]
-    differences = {one.primary.name: _as_flown(test, one.primary)} | {
-        metric.name: one.difference(metric) for metric in metrics
-    }
+    differences = {one.primary.name: _as_flown(test, one.primary)}
+    differences |= {metric.name: one.difference(metric) for metric in metrics}
     improvements = {metric.name: one.improvement(metric) for metric in metrics}
     return Pair(one.a, one.b, one.primary, test, verdict, one.late, differences, improvements)
 
@@ -185,20 +187,23 @@ class _Common:
     """Two controllers on their common starts."""
 
     def __init__(self, comparison: ComparisonResults, a: int, b: int):
-        self.a, self.b, self.primary = a, b, comparison.primary_metric
+        self.a = a
+        self.b = b
+        self.primary = comparison.primary_metric
         self._comparison = comparison
-        self._first, self._second = comparison.controllers[a], comparison.controllers[b]
-        where = {start: k for k, start in enumerate(self._second.starts)}
-        shared = [(i, where[start]) for i, start in enumerate(self._first.starts) if start in where]
-        self._rows_a: list[int] = [i for i, _ in shared]
-        self._rows_b: list[int] = [k for _, k in shared]
-        self._times_a, self._times_b = (
-            self._first.values(RESTRICTED)[self._rows_a],
-            self._second.values(RESTRICTED)[self._rows_b],
-        )
-        limits_a, limits_b = self._first.limits[self._rows_a], self._second.limits[self._rows_b]
+        self._first = first = comparison.controllers[a]
+        self._second = second = comparison.controllers[b]
+        where = {start: k for k, start in enumerate(second.starts)}
+        shared = [(i, where[start]) for i, start in enumerate(first.starts) if start in where]
+        self._rows_a = [i for i, _ in shared]
+        self._rows_b = [k for _, k in shared]
+        self._times_a = first.values(RESTRICTED)[self._rows_a]
+        self._times_b = second.values(RESTRICTED)[self._rows_b]
+        limits_a = first.limits[self._rows_a]
+        limits_b = second.limits[self._rows_b]
         self._limits = np.fmin(limits_a, limits_b)  # both are judged by the earlier one
-        arrived_a, arrived_b = self._first.success[self._rows_a], self._second.success[self._rows_b]
+        arrived_a = first.success[self._rows_a]
+        arrived_b = second.success[self._rows_b]
         late_a = arrived_a & (limits_a > self._limits) & (self._times_a > self._limits)
         late_b = arrived_b & (limits_b > self._limits) & (self._times_b > self._limits)
         self.late = int(late_a.sum() + late_b.sum())
@@ -223,7 +228,8 @@ class _Common:
         """Times to the goal, a failure at the earlier of both limits; and the greatest of these
         limits.
         """
-        a, b = self._times_a, self._times_b
+        a = self._times_a
+        b = self._times_b
         # a table of an earlier version in which nothing failed does not tell its limit: it is the
         # longest time or more
         limits = np.where(np.isnan(self._limits), np.nanmax([*a, *b, 0.0]), self._limits)
@@ -250,7 +256,8 @@ class _Common:
 
     def difference(self, metric: Metric) -> stats.IntervalEstimate:
         """The mean of b - a of an exploratory metric."""
-        x, y = self._first.values(metric)[self._rows_a], self._second.values(metric)[self._rows_b]
+        x = self._first.values(metric)[self._rows_a]
+        y = self._second.values(metric)[self._rows_b]
         if metric == RESTRICTED:
             x, y, _ = self._times()
         # the same seeds for both, or the difference would not be paired

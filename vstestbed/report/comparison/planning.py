@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Annotated, Final
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from annotated_types import Ge, Le
@@ -23,13 +24,11 @@ from vstestbed.report.comparison.verdict import (
     test_of,
 )
 
-SIMULATED: Final = (
-    500  # comparisons drawn for each number of starts; a power of 90 % is then known to 1.3 %
-)
-USUAL: Final = (
-    0.25  # usual time to the goal as a share of the limit, which should be 3 to 5 times that time
-)
-GAINS: Final = (0.02, 0.05, 0.1, 0.2)  # gains in time that a plan shows, as shares of the limit
+# comparisons drawn for each number of starts; a power of 90 % is then known to 1.3 %
+SIMULATED = 500
+# usual time to the goal as a share of the limit, which should be 3 to 5 times that time
+USUAL = 0.25
+GAINS = (0.02, 0.05, 0.1, 0.2)  # gains in time that a plan shows, as shares of the limit
 
 
 @spec
@@ -94,11 +93,8 @@ class ExpectedPair:
         same in each call.
         """
         rng = np.random.default_rng(n)
-        return float(
-            np.mean(
-                [self._decided(rng.random(n), rng.standard_normal(n)) for _ in range(SIMULATED)]
-            )
-        )
+        decided = [self._decided(rng.random(n), rng.standard_normal(n)) for _ in range(SIMULATED)]
+        return float(np.mean(decided))
 
     def _decided(self, luck: Array, noise: Array) -> bool:
         """Whether the second is better from starts with this luck, in [0, 1], and this noise of the
@@ -106,7 +102,8 @@ class ExpectedPair:
 
         Each pair has a test of cost, and where enough starts differ one of success.
         """
-        reached_a, reached_b = luck >= 1 - self.rate, luck < self.rate
+        reached_a = luck >= 1 - self.rate
+        reached_b = luck < self.rate
         time_a = np.where(reached_a, self.slower, self.limit)
         time_b = np.where(reached_b, self.slower - self.gain - self.sd * noise, self.limit)
         test = test_of(Starts(reached_a, reached_b, time_a, time_b, self.limit), self.margin)
@@ -205,25 +202,52 @@ def plan_lines(
     yield f"  {success:>8}  by success alone: one reaches the goal from all, the other from none"
     yield f"  {by_time or 'never':>8}  by time, where no run fails"
     yield f"  {sooner:>8}  for a word on who is sooner, where one is from all"
-    if by_time is None:
-        return
+    if by_time is not None:
+        yield from _starts_by_gain(ExpectedGain(pairs, limit, margin), starts)
 
-    def expected(gain: float) -> ExpectedPair:
+
+@dataclass(frozen=True)
+class ExpectedGain:
+    """A comparison in which no run fails, the slower law takes its usual time, and the gain varies
+    by itself.
+    """
+
+    pairs: int
+    limit: float  # of its runs [s]
+    margin: float
+
+    @property
+    def usual(self) -> float:
+        """The usual time to the goal [s]."""
+        return USUAL * self.limit
+
+    def of(self, share: float) -> ExpectedPair:
+        """The pair whose mean gain is a share of the limit."""
+        gain = share * self.limit
         return ExpectedPair(
-            gain=gain, sd=gain, limit=limit, slower=USUAL * limit, pairs=pairs, margin=margin
+            gain=gain,
+            sd=gain,
+            limit=self.limit,
+            slower=self.usual,
+            pairs=self.pairs,
+            margin=self.margin,
         )
 
+
+def _starts_by_gain(expected: ExpectedGain, starts: int | None) -> Iterator[str]:
+    """How many starts which gain in time needs, and which gain the planned starts can call."""
+    limit = expected.limit
     yield (
-        f"starts by gain in time, where no run fails, the usual time is {USUAL * limit:g} s,"
+        f"starts by gain in time, where no run fails, the usual time is {expected.usual:g} s,"
         " and the gain varies by itself (sd)"
     )
     for share in GAINS:
-        yield f"  {expected(share * limit).starts() or 'over 100,000':>8}  {share * limit:.3g} s"
+        yield f"  {expected.of(share).starts() or 'over 100,000':>8}  {share * limit:.3g} s"
     if starts is None:
         return
-    called = [k for k in range(1, 250) if expected(k / 1000 * limit).decided_by(starts)]
-    yield f"{starts} starts " + (
-        f"can call a gain of {called[0] / 1000 * limit:.3g} s or more"
-        if called
-        else "cannot decide by time"
-    )
+    shares = (k / 1000 for k in range(1, 250))
+    least_share = next((s for s in shares if expected.of(s).decided_by(starts)), None)
+    if least_share is None:
+        yield f"{starts} starts cannot decide by time"
+    else:
+        yield f"{starts} starts can call a gain of {least_share * limit:.3g} s or more"

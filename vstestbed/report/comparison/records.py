@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import polars as pl
 
@@ -18,11 +18,11 @@ from vstestbed.report.comparison.results import ComparisonResults, Means
 from vstestbed.report.comparison.sentences import Findings
 from vstestbed.tasks.metrics import Metric
 
-CONTROLLERS: Final = "controllers"
+CONTROLLERS = "controllers"
 # File names without suffix; each table, with one row per metric, is written as Parquet and as CSV
-PAIRS: Final = "pairs"
-VERDICTS: Final = "verdicts.json"  # the verdicts in words
-_OF_CONTROLLER: Final = (
+PAIRS = "pairs"
+VERDICTS = "verdicts.json"  # the verdicts in words
+_OF_CONTROLLER = (
     *(
         "controller",
         "metric",
@@ -37,12 +37,12 @@ _OF_CONTROLLER: Final = (
     ),
     *("median", "q1", "q3", "median_runs", "iqm", "iqm_low", "iqm_high", "iqm_runs"),
 )
-_WORDS_OF_PAIR: Final = (
+_WORDS_OF_PAIR = (
     *("controller", "against", "verdict", "better_one", "by", "sooner_one"),
     *("role", "metric", "title", "unit", "better"),
 )
-_COUNTS_OF_PAIR: Final = ("only_a", "only_b", "both", "neither", "wins_a", "wins_b", "needs")
-_OF_PAIR: Final = (
+_COUNTS_OF_PAIR = ("only_a", "only_b", "both", "neither", "wins_a", "wins_b", "needs")
+_OF_PAIR = (
     *_WORDS_OF_PAIR,
     *(
         "difference",
@@ -69,7 +69,7 @@ _OF_PAIR: Final = (
     ),
     *("improvement_p", "improvement_p_holm", "improvement_significant"),
 )
-_COUNTS: Final = (
+_COUNTS = (
     *_COUNTS_OF_PAIR,
     "runs",
     "succeeded",
@@ -78,7 +78,7 @@ _COUNTS: Final = (
     "pairs",
     "improvement_pairs",
 )
-_WORDS: Final = (*_WORDS_OF_PAIR, "sentence")
+_WORDS = (*_WORDS_OF_PAIR, "sentence")
 
 
 def write_records(
@@ -122,7 +122,7 @@ def _of_pair(comparison: ComparisonResults, pair: Pair, sentence: str) -> dict[s
     """What a pair has once: the verdict, what it rests on, and its words. The counts of a are those
     of `against`.
     """
-    labels = [c.label for c in comparison.controllers]
+    labels = comparison.labels
     test, verdict = pair.test, pair.verdict
     by = [
         name
@@ -163,7 +163,7 @@ def controller_records(comparison: ComparisonResults, means: Means) -> pl.DataFr
     """A row for each controller and metric in display units; an infinite `iqm` or end: a quarter of
     the runs failed, or could have.
     """
-    rows: list[dict[str, Any]] = []
+    rows = []
     for controller, found in zip(comparison.controllers, means, strict=True):
         rate = controller.rate
         for metric in comparison.shown:

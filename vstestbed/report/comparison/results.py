@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -35,13 +35,13 @@ __all__ = [
     "value_text",
 ]
 
-TASK: Final = "task"  # Column of the task of each run, which only a comparison with tasks has
-_TIMES: Final = ("time_to_converge_s", "sim_time_s")
-LIMIT: Final = Metric.named("limit_s")
-RESTRICTED: Final = Metric.named("time_to_goal_s")
-TIME: Final = Metric.named("time_to_converge_s")
-CENSORED: Final = 0.1  # Share of the runs counted at their limit above which a page warns
-DEFAULT_METRICS: Final = tuple(metric.name for metric in EVERY_RUN if metric.compared)
+TASK = "task"  # Column of the task of each run, which only a comparison with tasks has
+_TIMES = ("time_to_converge_s", "sim_time_s")
+LIMIT = Metric.named("limit_s")
+RESTRICTED = Metric.named("time_to_goal_s")
+TIME = Metric.named("time_to_converge_s")
+CENSORED = 0.1  # Share of the runs counted at their limit above which a page warns
+DEFAULT_METRICS = tuple(metric.name for metric in EVERY_RUN if metric.compared)
 
 
 def shown_by_default(table: pl.DataFrame) -> tuple[str, ...]:
@@ -77,11 +77,9 @@ class ControllerResults:
     @cached_property
     def tasks(self) -> list[str]:
         """The task of each run, all the same where a comparison has none."""
-        return (
-            [str(task) for task in self.runs[TASK].to_list()]
-            if TASK in self.runs.columns
-            else [""] * len(self.runs)
-        )
+        if TASK not in self.runs.columns:
+            return [""] * len(self.runs)
+        return [str(task) for task in self.runs[TASK].to_list()]
 
     @property
     def starts(self) -> list[tuple[str, int]]:
@@ -116,10 +114,9 @@ class ControllerResults:
         """A column as numbers, NaN where it has none: a crashed run has null, and a number may be
         stored as text.
         """
-        stored = (
-            self.runs[name] if name in self.runs.columns else pl.Series([None] * len(self.runs))
-        )
-        return stored.cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy()
+        if name not in self.runs.columns:
+            return np.full(len(self.runs), np.nan)
+        return self.runs[name].cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy()
 
     @cached_property
     def limits(self) -> Array:
@@ -154,11 +151,8 @@ class ControllerResults:
         """As `values`, but NaN for the runs that are excluded from the metric's median (see
         `Metric.every_run`).
         """
-        return (
-            self.values(metric)
-            if metric.every_run
-            else np.where(self.success, self.values(metric), np.nan)
-        )
+        values = self.values(metric)
+        return values if metric.every_run else np.where(self.success, values, np.nan)
 
     def quartiles(self, metric: Metric) -> tuple[float, float, float, int]:
         """First quartile, median, third quartile and number of the `counted` values."""
@@ -192,15 +186,12 @@ class ComparisonResults:
     # the metric that decides after success; "": the time to the goal, a failure counted at its
     # limit
     primary: str = ""
-    reference: str = (
-        ""  # label of the controller with which each other one is compared; "": all pairs
-    )
-    margin: float = (
-        MARGIN  # share of the starts by which a better one may reach the goal less often
-    )
-    settings: str = (
-        ""  # why this ranks settings and no laws, in sentences, which come first; "": it ranks laws
-    )
+    # label of the controller with which each other one is compared; "": all pairs
+    reference: str = ""
+    # share of the starts by which a better one may reach the goal less often
+    margin: float = MARGIN
+    # why this ranks settings and no laws, in sentences, which come first; "": it ranks laws
+    settings: str = ""
 
     @cached_property
     def shown(self) -> tuple[Metric, ...]:
@@ -214,28 +205,16 @@ class ComparisonResults:
         rows: dict[tuple[Any, ...], list[int]] = {}
         for i, key in enumerate(keys):
             rows.setdefault(key, []).append(i)
-        scenarios, *values = zip(*rows, strict=True) if rows else ((),)
-        columns = [
-            _words_of(name, each) for name, each in zip(short_names(self.axes), values, strict=True)
-        ]
-        # the scenario is part of a label only where there are several, or nothing else is
-        several = len(set(scenarios)) > 1
-        parts = zip([str(name) if several else "" for name in scenarios], *columns, strict=True)
-        labels = [
-            ", ".join(filter(None, each)) or str(name)
-            for each, name in zip(parts, scenarios, strict=True)
-        ]
-        # two values differ only beyond the 6 digits of `:g`, or two axes have the same words
-        if len(set(labels)) < len(labels):
-            names = ("", *(f"{name}=" for name in short_names(self.axes)))
-            labels = [
-                ", ".join(f"{name}{value}" for name, value in zip(names, key, strict=True))
-                for key in rows
-            ]
+        labels = _labels(list(rows), short_names(self.axes))
         return tuple(
             ControllerResults(label, self.table[index].sort("seed"))
             for label, index in zip(labels, rows.values(), strict=True)
         )
+
+    @property
+    def labels(self) -> list[str]:
+        """The controllers' names on the page."""
+        return [c.label for c in self.controllers]
 
     @cached_property
     def primary_metric(self) -> Metric:
@@ -243,18 +222,48 @@ class ComparisonResults:
         return Metric.named(self.primary) if self.primary else RESTRICTED
 
     @property
+    def exploratory(self) -> list[Metric]:
+        """The shown metrics that decide nothing."""
+        return [metric for metric in self.shown if metric != self.primary_metric]
+
+    @property
     def reference_index(self) -> int:
         """The controller with which each other one is compared where not all pairs are: the first
         without a `reference`.
         """
-        labels = [c.label for c in self.controllers]
-        if self.reference and self.reference not in labels:
-            raise ParameterError.choice("reference", labels, self.reference)
-        return labels.index(self.reference) if self.reference else 0
+        if not self.reference:
+            return 0
+        if self.reference not in self.labels:
+            raise ParameterError.choice("reference", self.labels, self.reference)
+        return self.labels.index(self.reference)
 
     def first(self, n: int) -> ComparisonResults:
         """The first n controllers alone."""
         return replace(self, table=pl.concat([c.runs for c in self.controllers[:n]]))
+
+
+def _labels(keys: Sequence[tuple[Any, ...]], axes: Sequence[str]) -> list[str]:
+    """The name of each controller by its scenario and the values of its axes."""
+    scenarios = [str(key[0]) for key in keys]
+    # the scenario is part of a label only where there are several, or nothing else is
+    several = len(set(scenarios)) > 1
+    columns = [scenarios if several else [""] * len(keys)]
+    for i, axis in enumerate(axes, start=1):
+        columns.append(_words_of(axis, [key[i] for key in keys]))
+    labels = [
+        ", ".join(filter(None, words)) or scenario
+        for scenario, *words in zip(scenarios, *columns, strict=True)
+    ]
+    # two values differ only beyond the 6 digits of `:g`, or two axes have the same words
+    if len(set(labels)) < len(labels):
+        return [_in_full(key, axes) for key in keys]
+    return labels
+
+
+def _in_full(key: Sequence[object], axes: Sequence[str]) -> str:
+    scenario, *values = key
+    named = (f"{axis}={value}" for axis, value in zip(axes, values, strict=True))
+    return ", ".join([str(scenario), *named])
 
 
 def _words_of(name: str, values: Sequence[object]) -> list[str]:
@@ -267,19 +276,25 @@ def _words_of(name: str, values: Sequence[object]) -> list[str]:
     if len(set(values)) < 2:
         return [""] * len(values)
     blocks = [_block(value) for value in values]
-    if not any(len(block) > 1 for block in blocks):
-        words = all(map(_is_word, values))
-        return [value_text(value) if words else f"{name}={value_text(value)}" for value in values]
-    keys = [
-        key
-        for key in dict.fromkeys(chain.from_iterable(blocks))
-        if len({str(block.get(key)) for block in blocks}) > 1
-    ]
-    named = [{key: block[key] for key in keys if key in block} or block for block in blocks]
-    return [
-        ", ".join(_plain(v) if k == "kind" else f"{k}={_plain(v)}" for k, v in block.items())
-        for block in named
-    ]
+    if any(len(block) > 1 for block in blocks):
+        return _what_differs(blocks)
+    before = "" if all(map(_is_word, values)) else f"{name}="
+    return [before + value_text(value) for value in values]
+
+
+def _what_differs(blocks: list[dict[str, object]]) -> list[str]:
+    """Of each block the entries in which it differs from others, its kind without its key."""
+    keys = dict.fromkeys(chain.from_iterable(blocks))
+    differing = [key for key in keys if len({str(block.get(key)) for block in blocks}) > 1]
+    named = [{key: block[key] for key in differing if key in block} or block for block in blocks]
+    return [", ".join(_entry(key, value) for key, value in block.items()) for block in named]
+
+
+def _entry(key: str, value: object) -> str:
+    words = value_text(value)
+    if isinstance(value, dict | list):
+        words = json.dumps(value).replace('"', "")
+    return words if key == "kind" else f"{key}={words}"
 
 
 def _block(value: object) -> dict[str, object]:
@@ -287,12 +302,6 @@ def _block(value: object) -> dict[str, object]:
     if isinstance(value, str) and value.startswith("{"):
         return json.loads(value)
     return {"kind": value}
-
-
-def _plain(value: object) -> str:
-    return (
-        json.dumps(value).replace('"', "") if isinstance(value, dict | list) else value_text(value)
-    )
 
 
 def _is_word(value: object) -> bool:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Literal
 
 from vstestbed.report.comparison.pairs import Pair
 from vstestbed.report.comparison.results import CENSORED, RESTRICTED, ComparisonResults
@@ -20,8 +20,8 @@ from vstestbed.tasks.metrics import Metric
 
 # Controllers that win against some, and controllers that arrive first, that the overall sentence
 # names
-MOST_NAMED: Final = 6
-MOST_SHOWN: Final = 6  # Pairs in words at the top of the page; the others can be unfolded
+MOST_NAMED = 6
+MOST_SHOWN = 6  # Pairs in words at the top of the page; the others can be unfolded
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def findings(comparison: ComparisonResults, all_pairs: Sequence[Pair]) -> Findin
     """The result in words; first that it is one of settings, where no search has found each law's
     values.
     """
-    labels = [c.label for c in comparison.controllers]
+    labels = comparison.labels
     if len(labels) == 1:
         return Findings(_alone(comparison))
     standing = _Standing(labels, list(all_pairs))

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from statistics import NormalDist
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,17 +37,17 @@ __all__ = [
     "wilson",
 ]
 
-CONFIDENCE: Final = 0.95  # of all intervals
+CONFIDENCE = 0.95  # of all intervals
 # Fewest runs for the interval of an interquartile mean: of fewer, a single value would be left, or
 # all of them
-FEWEST: Final = 5
-ROUNDING: Final = 1e-9
+FEWEST = 5
+ROUNDING = 1e-9
 """Relative difference under which two values count as equal: the same number reached by another
 order of operations, of which a closed loop has made the 1e-16 of one frame larger.
 """
 # The same of values near 0, in the unit in which they are shown (mm, px, s): less than any number
 # of a report tells
-LEAST: Final = 1e-12
+LEAST = 1e-12
 
 
 class IntervalEstimate(NamedTuple):
@@ -73,7 +73,7 @@ class IntervalEstimate(NamedTuple):
         return self._replace(mean=whole - self.mean, low=whole - self.high, high=whole - self.low)
 
 
-NOTHING: Final = IntervalEstimate(math.nan)
+NOTHING = IntervalEstimate(math.nan)
 
 
 class MeanEstimate(NamedTuple):

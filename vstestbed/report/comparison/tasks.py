@@ -8,16 +8,16 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import polars as pl
 
-from vstestbed.core.files import make_folder, write_whole
-from vstestbed.core.shares import Call, at_once, result_of
+from vstestbed.core.files import write_whole
+from vstestbed.core.shares import result_of
 from vstestbed.report.canvas import new_figure, publish, style
 from vstestbed.report.comparison import baseline, tables
-from vstestbed.report.comparison.page import by_one_metric, failures, write_tables
+from vstestbed.report.comparison.page import AT_ONCE, Drawing, by_one_metric, failures, write_tables
 from vstestbed.report.comparison.pairs import pairs
 from vstestbed.report.comparison.records import write_records
 from vstestbed.report.comparison.results import (
@@ -36,11 +36,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-AMOUNT: Final = "amount"
-DRAWN: Final = (TIME.name, "max_retreat_m")  # Metrics that are drawn where a comparison names none
-MOST_ROWS: Final = 3  # Metrics that are drawn: the first ones; all have tables
-MOST_AMOUNTS: Final = 20  # Most failed runs of a cell that are named
-ROUNDING: Final = 1e-6  # Values below this are rounding errors in the unit of any metric
+AMOUNT = "amount"
+DRAWN = (TIME.name, "max_retreat_m")  # Metrics that are drawn where a comparison names none
+MOST_ROWS = 3  # Metrics that are drawn: the first ones; all have tables
+MOST_AMOUNTS = 20  # Most failed runs of a cell that are named
+ROUNDING = 1e-6  # Values below this are rounding errors in the unit of any metric
 
 Cell = tuple[str, str, ControllerResults]  # A cell of the table: a law, a task, and its runs in it
 
@@ -236,20 +236,22 @@ def write_task_report(
     folder: Path,
     comparison: ComparisonResults,
     command: str,
-    call: Call = at_once,
-    paper: bool = False,
+    drawing: Drawing = AT_ONCE,
 ) -> Path:
     """Write `report.html`, `tasks.md`, `tables.*`, `controllers.*` and `pairs.*` into a
-    comparison's folder, and with `paper` `figures/`.
+    comparison's folder.
 
     As `page.write_comparison_report`; the table has the columns `task` and `amount`, and the first
     three metrics are drawn.
     """
-    table, metrics, laws = comparison.table, comparison.metrics, over_all_tasks(comparison)
+    table = comparison.table
+    metrics = comparison.metrics
+    laws = over_all_tasks(comparison)
     found = cells(laws)
-    drawn = call(_drawn, found, metrics, make_folder(folder / "figures") if paper else None)
+    drawn = drawing.call(_drawn, found, metrics, drawing.place(folder))
     write_whole(folder / "tasks.md", markdown(found, metrics))
-    all_pairs, means = pairs(laws), interquartiles(laws)
+    all_pairs = pairs(laws)
+    means = interquartiles(laws)
     words = findings(laws, all_pairs)
     write_records(folder, laws, means, all_pairs, words)
     sections = tables.sections(laws, means, all_pairs, every=False)

@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,20 +25,20 @@ from numpy.typing import ArrayLike, NDArray
 from vstestbed.core.geometry import Array
 from vstestbed.report.comparison.statistics import MeanEstimate, holm, rounding, sign_test
 
-ALPHA: Final = 0.05  # of all verdicts together, and of all words on who is sooner together
-MARGIN: Final = 0.1  # share of the starts by which a better one may reach the goal less often
-FEWEST_UNLIKE: Final = 6
+ALPHA = 0.05  # of all verdicts together, and of all words on who is sooner together
+MARGIN = 0.1  # share of the starts by which a better one may reach the goal less often
+FEWEST_UNLIKE = 6
 """Fewest starts with different outcomes of which the exact test can be under ALPHA: 2 / 2^6 is, 2 /
 2^5 is not. A test that can call nothing real does not count among those for which the others are
 corrected (Tarone 1990, doi:10.2307/2531456).
 """
-MOST_STARTS: Final = 100_000  # numbers of starts beyond this are not named
+MOST_STARTS = 100_000  # numbers of starts beyond this are not named
 # periods by which two times may differ and be equal: one picture, and rounding
-ONE_PICTURE: Final = 1 + 1e-6
+ONE_PICTURE = 1 + 1e-6
 
 Side = Literal["a", "b"]
 Decision = Literal["better", "trade", "none"]
-_OTHER: Final[dict[Side | None, Side | None]] = {"a": "b", "b": "a", None: None}
+_OTHER: dict[Side | None, Side | None] = {"a": "b", "b": "a", None: None}
 
 
 class Starts(NamedTuple):
@@ -118,10 +118,8 @@ def sample_of(values: ArrayLike, strata: NDArray[np.intp] | None = None) -> Mean
 def _strata(x: Array, strata: NDArray[np.intp]) -> list[Array]:
     groups = [x[strata == number] for number in np.unique(strata)]
     alone = [group for group in groups if len(group) == 1]
-    return [
-        *(group for group in groups if len(group) > 1),
-        *([np.concatenate(alone)] if alone else []),
-    ]
+    several = [group for group in groups if len(group) > 1]
+    return [*several, np.concatenate(alone)] if alone else several
 
 
 @dataclass(frozen=True)
@@ -161,22 +159,14 @@ class PairTest:
     @property
     def p_success(self) -> float:
         """Of the exact test of success; NaN where it cannot be under ALPHA."""
-        return (
-            sign_test(self.only_a, self.only_b)
-            if self.only_a + self.only_b >= FEWEST_UNLIKE
-            else math.nan
-        )
+        return _sign_test(self.only_a, self.only_b)
 
     @property
     def p_sooner(self) -> float:
         """Of the exact test that both arrive first equally often; NaN where it cannot be under
         ALPHA.
         """
-        return (
-            sign_test(self.wins_a, self.wins_b)
-            if self.wins_a + self.wins_b >= FEWEST_UNLIKE
-            else math.nan
-        )
+        return _sign_test(self.wins_a, self.wins_b)
 
     @property
     def has_cost(self) -> bool:
@@ -264,6 +254,11 @@ class PairTest:
         return least(decided, self.n)
 
 
+def _sign_test(one: int, other: int) -> float:
+    """Of two counts; NaN where it cannot be under ALPHA."""
+    return sign_test(one, other) if one + other >= FEWEST_UNLIKE else math.nan
+
+
 def least(decided: Callable[[int], bool], n: int) -> int | None:
     """The least number of starts from n on with which `decided`, by doubling and bisection; None:
     more than MOST_STARTS.
@@ -306,9 +301,9 @@ def test_of(starts: Starts, margin: float = MARGIN) -> PairTest:
     saved = np.asarray(starts.cost_a - starts.cost_b, dtype=float)
     saved[np.abs(saved) <= rounding(starts.cost_a, starts.cost_b)] = 0.0
     # a than b
-    later = (
-        saved if starts.time_a is None or starts.time_b is None else starts.time_a - starts.time_b
-    )
+    later = saved
+    if starts.time_a is not None and starts.time_b is not None:
+        later = starts.time_a - starts.time_b
     tied = (~a & ~b) | (a & b & (np.abs(later) <= starts.period * ONE_PICTURE))
     first_b = ~tied & np.where(a == b, later > 0, b)
     return PairTest(
@@ -357,23 +352,32 @@ def _called(p: float, side: Side) -> Side | None:
     return side if p <= ALPHA else None
 
 
+def _side(a: int, b: int) -> Side:
+    """The side with more."""
+    return "b" if b > a else "a"
+
+
 def _verdict(
     test: PairTest, success: float, cost: float, sooner: float, others_open: int
 ) -> Verdict:
     """The verdict on a pair by its adjusted p-values; others_open: tests of other pairs that have
     decided nothing.
     """
-    more_often = _called(success, "b" if test.only_b > test.only_a else "a")
+    more_often = _called(success, _side(test.only_a, test.only_b))
     cheaper = _called(cost, test.cheaper)
-    trade = more_often is not None and cheaper is not None and more_often != cheaper
-    better = None if trade else more_often or cheaper
-    decision: Decision = "trade" if trade else "none" if better is None else "better"
+    decision: Decision = "better"
+    better = more_often or cheaper
+    if better is None:
+        decision = "none"
+    elif cheaper not in (None, better):
+        decision = "trade"
+        better = None
     return Verdict(
         decision,
         better,
         by_success=more_often is not None,
         by_cost=cheaper is not None,
-        sooner=_called(sooner, "b" if test.wins_b > test.wins_a else "a"),
+        sooner=_called(sooner, _side(test.wins_a, test.wins_b)),
         p_success=sign_test(test.only_a, test.only_b) if math.isnan(success) else success,
         p_cost=cost,
         p_sooner=sign_test(test.wins_a, test.wins_b) if math.isnan(sooner) else sooner,

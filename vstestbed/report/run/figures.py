@@ -8,11 +8,14 @@ the line lies in its band.
 
 from __future__ import annotations
 
+from itertools import chain, pairwise
+
 import numpy as np
 
 from vstestbed.core.geometry import Array, adjoint, inverse
 from vstestbed.core.planar import wrapped
-from vstestbed.report.chart import Chart, ChartPanel
+from vstestbed.loop.columns import TWIST
+from vstestbed.report.chart import Chart, ChartPanel, Words
 from vstestbed.report.marks import (
     AXIS_COLORS,
     BAND,
@@ -23,6 +26,7 @@ from vstestbed.report.marks import (
     LOST,
     THRESHOLD,
     TIME,
+    Look,
     line_color,
     marker_colors,
 )
@@ -47,7 +51,8 @@ def over_time(tracks: LogArrays, height_in: float, *labels: str) -> Chart:
     """A chart with a panel for each label over the time of the log; the intervals in which the
     target was lost are shaded.
     """
-    chart, t = Chart(height_in, len(labels)), tracks.t[np.isfinite(tracks.t)]
+    chart = Chart(height_in, len(labels))
+    t = tracks.t[np.isfinite(tracks.t)]
     for panel, label in zip(chart.panels, labels, strict=True):
         panel.labels = TIME, label
         if len(t) and t[-1] > t[0]:
@@ -64,60 +69,68 @@ def error(tracks: LogArrays) -> Chart:
     Of a tilted craft also the error of the image rotated into its level frame, which decides
     convergence. Below, the law's mode.
     """
-    modes = bool(tracks.setting.modes) and bool(np.isfinite(tracks.column("law_mode")).any())
-    both, view = tracks.setting.image_errors, tracks.column("view")
+    both = tracks.setting.image_errors
     shown = [one for one in both if (tracks.column(one.column) > 0).any()] or both[:1]
-    labels = [*(one.label for one in shown), *["mode"] * modes]
-    chart = over_time(tracks, 3.1 + 1.6 * (len(shown) - 1) + 0.5 * modes, *labels)
+    labels = [one.label for one in shown]
+    height_in = 1.5 + 1.6 * len(shown)
+    modes = tracks.setting.modes and np.isfinite(tracks.column("law_mode")).any()
+    if modes:
+        labels.append("mode")
+        height_in += 0.5
+    chart = over_time(tracks, height_in, *labels)
     for panel, one in zip(chart.panels, shown, strict=False):
         _draw_error(panel, tracks, one)
-        for i in np.flatnonzero(np.diff(view) > 0) + 1:  # the goal view changed to the next
-            panel.plot([tracks.t[i]] * 2, [-np.inf, np.inf], color=INK, linewidth=0.8, alpha=0.6)
-            panel.words.append((tracks.t[i], np.inf, f" view {view[i] + 1:.0f}", "start", INK))
-    if modes:  # a strip with the mode over time, a colour for each
-        panel, mode, t = chart.panels[-1], tracks.column("law_mode"), tracks.t
-        panel.share, panel.ylim, panel.in_words = 0.22, (0.0, 1.0), (None, lambda _: "")
-        starts = np.flatnonzero(np.diff(mode, prepend=np.nan) != 0)
-        for a, b in zip(starts, [*starts[1:], len(t) - 1], strict=True):
-            number = int(np.nan_to_num(mode[a]))
-            word = (
-                tracks.setting.modes[number]
-                if number < len(tracks.setting.modes)
-                else f"mode {number}"
-            )
-            panel.area((t[a], t[b]), (0.0, 1.0), line_color(number + 1), 0.75, word)
+    if modes:
+        _draw_modes(chart.panels[-1], tracks)
     return chart
 
 
+def _draw_modes(panel: ChartPanel, tracks: LogArrays) -> None:
+    """A strip with the law's mode over time, a colour for each."""
+    mode = tracks.column("law_mode")
+    words = tracks.setting.modes
+    panel.share = 0.22
+    panel.ylim = (0.0, 1.0)
+    panel.in_words = (None, lambda _: "")
+    starts = np.flatnonzero(np.diff(mode, prepend=np.nan) != 0).tolist()
+    for a, b in pairwise([*starts, len(mode) - 1]):
+        number = int(np.nan_to_num(mode[a]))
+        word = words[number] if number < len(words) else f"mode {number}"
+        span = tracks.t[a], tracks.t[b]
+        panel.area(span, (0.0, 1.0), line_color(number + 1), 0.75, word)
+
+
 def _draw_error(panel: ChartPanel, tracks: LogArrays, error: MeasuredError) -> None:
-    """One error in the image over time, with its threshold."""
-    value, level = tracks.column(error.column), tracks.column("level_error_px")
-    tilted = error.unit == "px" and bool((level > 0).any())
+    """One error in the image over time, with its threshold, and where the goal view changed to the
+    next.
+    """
+    t = tracks.t
+    value = tracks.column(error.column)
+    level = tracks.column("level_error_px")
+    look: Look = {"color": LINE_COLORS[0]}
     panel.log = True
-    if (value > 0).any():
-        panel.plot(
-            tracks.t,
-            value,
-            color=LINE_COLORS[0],
-            **({"label": "in the picture", "alpha": 0.4} if tilted else {}),
-        )
-    elif not tilted:
+    if error.unit == "px" and (level > 0).any():
+        if (value > 0).any():
+            panel.plot(t, value, label="in the picture", alpha=0.4, **look)
+        panel.plot(t, level, label="turned level, which counts", **look)
+    elif (value > 0).any():
+        panel.plot(t, value, **look)
+    else:
         panel.title = "no frame with a measured error"
-    if tilted:
-        panel.plot(tracks.t, level, color=LINE_COLORS[0], label="turned level, which counts")
     if error.threshold:
-        panel.rule(
-            error.threshold, **THRESHOLD, label=f"threshold {error.threshold:g} {error.unit}"
-        )
+        words = f"threshold {error.threshold:g} {error.unit}"
+        panel.rule(error.threshold, **THRESHOLD, label=words)
+    view = tracks.column("view")
+    for i in np.flatnonzero(np.diff(view) > 0) + 1:
+        panel.plot([t[i], t[i]], [-np.inf, np.inf], color=INK, linewidth=0.8, alpha=0.6)
+        panel.words.append(Words(t[i], np.inf, f" view {view[i] + 1:.0f}"))
 
 
 def task_error(tracks: LogArrays) -> Chart | None:
     """True error of a continuing task, with its tolerance after the settling time."""
-    value, band, settle = (
-        tracks.column("task_error_m"),
-        tracks.setting.band_m,
-        tracks.setting.settle_s,
-    )
+    value = tracks.column("task_error_m")
+    band = tracks.setting.band_m
+    settle = tracks.setting.settle_s
     if not np.isfinite(value).any():
         return None
     chart = over_time(tracks, 3.1, "off [m]")
@@ -126,7 +139,8 @@ def task_error(tracks: LogArrays) -> Chart | None:
         last = max(float(np.nanmax(tracks.t)), settle)
         panel.area((settle, last), (-band, band), GOAL, 0.14, f"band, {band:g} m to each side")
         later = np.abs(value[(tracks.t >= settle) & np.isfinite(value)])
-        panel.title = f"at most {later.max():.3f} m off once settled" if len(later) else ""
+        if len(later):
+            panel.title = f"at most {later.max():.3f} m off once settled"
     panel.rule(0)
     panel.plot(tracks.t, value, color=LINE_COLORS[0])
     return chart
@@ -136,10 +150,11 @@ def pose_error(tracks: LogArrays) -> Chart | None:
     """Distance and angle of the true camera (or vehicle) pose from the goal, logarithmic; None for
     a vehicle's continuing task.
     """
+    setting = tracks.setting
     errors = tracks.column("position_error_m"), np.degrees(tracks.column("rotation_error_rad"))
-    if (tracks.setting.planar and tracks.setting.band_m is not None) or not np.isfinite(
-        errors
-    ).any():
+    if setting.planar and setting.band_m is not None:
+        return None
+    if not np.isfinite(errors).any():
         return None
     chart = over_time(tracks, 3.9, "position [m]", "rotation [deg]")
     for i, (panel, value) in enumerate(zip(chart.panels, errors, strict=True)):
@@ -163,13 +178,8 @@ def twist(tracks: LogArrays) -> Chart:
         panel.least = LEAST_TWIST * (reach if part == "v" else 1)
         for axis, color in zip("xyz", colors, strict=True):
             panel.plot(tracks.t, tracks.column(f"act_{part}{axis}"), color=color, **BAND)
-            panel.plot(
-                t_command,
-                tracks.column(f"cmd_{part}{axis}"),
-                color=color,
-                linewidth=1.1,
-                label=f"{part}{axis}",
-            )
+            commanded = tracks.column(f"cmd_{part}{axis}")
+            panel.plot(t_command, commanded, color=color, linewidth=1.1, label=f"{part}{axis}")
     return chart
 
 
@@ -177,7 +187,9 @@ def depth(tracks: LogArrays) -> Chart | None:
     """Depth of each marker as used by the law (line), and the true depth (band) if it can be
     computed.
     """
-    used, true = tracks.numbered("depth"), tracks.true_depth
+    used = tracks.numbered("depth")
+    true = tracks.true_depth
+    names = tracks.names or [""] * tracks.markers
     if not np.isfinite(used).any():
         return None
     chart = over_time(tracks, 3.1, "depth [m]")
@@ -186,9 +198,7 @@ def depth(tracks: LogArrays) -> Chart | None:
     for i, color in enumerate(marker_colors(tracks.markers)):
         if true is not None:
             panel.plot(tracks.t, true[:, i], color=color, **BAND)
-        panel.plot(
-            tracks.t, used[:, i], color=color, label=tracks.names[i] if tracks.names else "", **LINE
-        )
+        panel.plot(tracks.t, used[:, i], color=color, label=names[i], **LINE)
     return chart
 
 
@@ -196,21 +206,18 @@ def joints(tracks: LogArrays) -> Chart | None:
     """Joint positions, velocities and actuator inputs, as far as the log has them; None for a
     ground vehicle (see `wheels`).
     """
-    found = {stem: names for stem in JOINT_PANELS if (names := _moving(tracks, stem))}
+    with_values = {stem: _moving(tracks, stem) for stem in JOINT_PANELS}
+    found = {stem: names for stem, names in with_values.items() if names}
     if tracks.setting.planar or not found:
         return None
-    every = list(dict.fromkeys(name for names in found.values() for name in names))
+    every = list(dict.fromkeys(chain.from_iterable(found.values())))
+    labels = every if len(every) <= 16 else [""] * len(every)
     chart = over_time(tracks, 0.6 + 1.45 * len(found), *(JOINT_PANELS[stem] for stem in found))
     for panel, (stem, names) in zip(chart.panels, found.items(), strict=True):
         for name in names:
-            label = name if len(every) <= 16 else ""
-            panel.plot(
-                tracks.t,
-                tracks.column(f"{stem}_{name}"),
-                color=line_color(every.index(name)),
-                linewidth=1.2,
-                label=label,
-            )
+            i = every.index(name)
+            look: Look = {"color": line_color(i), "linewidth": 1.2, "label": labels[i]}
+            panel.plot(tracks.t, tracks.column(f"{stem}_{name}"), **look)
     return chart
 
 
@@ -236,23 +243,21 @@ def _moving(tracks: LogArrays, stem: str) -> list[str]:
 # Of a quadrotor: velocity, attitude and body rates with their references; rotors, wind.
 def velocity(tracks: LogArrays) -> Chart | None:
     """Velocity in the level frame: commanded (thin line) and estimated by the craft (pale band)."""
-    flown, camera = tracks.columns("est_vx", "est_vy", "est_vz"), tracks.setting.camera
+    flown = tracks.columns("est_vx", "est_vy", "est_vz")
+    camera = tracks.setting.camera
     if camera is None:
         return None
     # applied_*: the camera twist in the camera frame after the robot's limits; the mount's adjoint
     # takes it to the craft
-    applied = tracks.columns(*(f"applied_{name}" for name in ("vx", "vy", "vz", "wx", "wy", "wz")))
-    return _three(
-        tracks, flown, applied @ adjoint(camera.mount.T).T, "ahead [m/s]", "left [m/s]", "up [m/s]"
-    )
+    applied = tracks.columns(*(f"applied_{name}" for name in TWIST))
+    reference = applied @ adjoint(camera.mount.T).T
+    return _three(tracks, flown, reference, "ahead [m/s]", "left [m/s]", "up [m/s]")
 
 
 def rates(tracks: LogArrays) -> Chart | None:
     """Body rates: reference of the attitude loop (thin line) and gyro less its bias (pale band)."""
-    flown, reference = (
-        np.degrees(tracks.columns(*(f"{what}_{name}" for name in ("wx", "wy", "wz"))))
-        for what in ("est", "ref")
-    )
+    flown = np.degrees(tracks.columns("est_wx", "est_wy", "est_wz"))
+    reference = np.degrees(tracks.columns("ref_wx", "ref_wy", "ref_wz"))
     return _three(tracks, flown, reference, "roll [deg/s]", "pitch [deg/s]", "yaw [deg/s]")
 
 
@@ -274,11 +279,9 @@ def tilt(tracks: LogArrays) -> Chart | None:
     """Roll and pitch: true (pale band), estimated by the craft (thin line), and the reference of
     its velocity loop (dotted).
     """
-    estimated, reference, camera = (
-        tracks.columns("est_roll", "est_pitch"),
-        tracks.columns("ref_roll", "ref_pitch"),
-        tracks.setting.camera,
-    )
+    estimated = tracks.columns("est_roll", "est_pitch")
+    reference = tracks.columns("ref_roll", "ref_pitch")
+    camera = tracks.setting.camera
     if camera is None or not np.isfinite(estimated).any():
         return None
     # the world's z axis in the base frame: independent of yaw
@@ -287,73 +290,75 @@ def tilt(tracks: LogArrays) -> Chart | None:
     chart = over_time(tracks, 3.0, "tilt [deg]")
     (panel,) = chart.panels
     panel.rule(0)
+    t = tracks.t
     for i, name in enumerate(("roll", "pitch")):
-        panel.plot(tracks.t, np.degrees(true[:, i]), color=line_color(i), **BAND)
-        panel.plot(tracks.t, np.degrees(estimated[:, i]), color=line_color(i), label=name, **LINE)
-        panel.plot(
-            tracks.t, np.degrees(reference[:, i]), color=line_color(i), linestyle=":", **LINE
-        )
+        color = line_color(i)
+        panel.plot(t, np.degrees(true[:, i]), color=color, **BAND)
+        panel.plot(t, np.degrees(estimated[:, i]), color=color, label=name, **LINE)
+        panel.plot(t, np.degrees(reference[:, i]), color=color, linestyle=":", **LINE)
     return chart
 
 
 def rotors(tracks: LogArrays) -> Chart | None:
     """Rotor speeds with their limit (dotted); below them the wind, if there was any."""
-    names, wind = tracks.named("speed"), tracks.columns("wind_x", "wind_y", "wind_z")
+    names = tracks.named("speed")
+    wind = tracks.columns("wind_x", "wind_y", "wind_z")
     if not names:
         return None
-    windy = bool(np.nanmax(np.abs(wind), initial=0.0) > 0)  # without wind its columns are zero
-    chart = over_time(tracks, 4.2 if windy else 2.8, "rotors [rad/s]", *["wind [m/s]"] * windy)
+    labels = ["rotors [rad/s]"]
+    height_in = 2.8
+    if np.nanmax(np.abs(wind), initial=0.0) > 0:  # without wind its columns are zero
+        labels.append("wind [m/s]")
+        height_in = 4.2
+    chart = over_time(tracks, height_in, *labels)
+    speeds, *of_wind = chart.panels
     # [rad/s], the limit of a rotor in models/quadrotor.xml
-    chart.panels[0].rule(1000.0, linewidth=1.4, linestyle=":")
+    speeds.rule(1000.0, linewidth=1.4, linestyle=":")
     for i, name in enumerate(names):
-        chart.panels[0].plot(
-            tracks.t,
-            tracks.column(f"speed_{name}"),
-            color=line_color(i),
-            label=name.removeprefix("rotor_"),
-            **LINE,
-        )
-    for i in range(3 * windy):
-        chart.panels[1].plot(
-            tracks.t, wind[:, i], color=line_color(i), label=f"wind {'xyz'[i]}", **LINE
-        )
+        look: Look = {"color": line_color(i), "label": name.removeprefix("rotor_")}
+        speeds.plot(tracks.t, tracks.column(f"speed_{name}"), **look, **LINE)
+    for panel in of_wind:
+        for i, axis in enumerate("xyz"):
+            panel.plot(tracks.t, wind[:, i], color=line_color(i), label=f"wind {axis}", **LINE)
     return chart
 
 
 # Of a ground vehicle: wheels, slip, localisation error.
 def wheels(tracks: LogArrays) -> Chart | None:
     """Wheel speeds, measured (band) and commanded (line), and below them the steering angles."""
-    # column of the measurement, label, measured and commanded: the wheels' speed, and the angle of
-    # steering joints
-    panels = [
-        (stem, label, _joints(tracks, stem, steering), _joints(tracks, "ctrl", steering))
-        for stem, steering, label in (("qd", False, "speed [rad/s]"), ("q", True, "angle [rad]"))
-    ]
-    panels = [panel for panel in panels if panel[2] or panel[3]]
+    panels = _wheel_panels(tracks)
     if not tracks.setting.planar or not panels:
         return None
-    names = dict.fromkeys(
-        name for _, _, measured, commanded in panels for name in (*measured, *commanded)
-    )
-    color = {name: line_color(i) for i, name in enumerate(names)}
-    chart = over_time(tracks, 0.6 + 1.9 * len(panels), *(label for _, label, _, _ in panels))
-    for name in names:  # an entry of full colour, where the first curve may be a pale band
-        chart.panels[0].plot([], [], color=color[name], label=name)
-    for panel, (stem, _, measured, commanded) in zip(chart.panels, panels, strict=True):
-        for name in measured:
-            panel.plot(tracks.t, tracks.column(f"{stem}_{name}"), color=color[name], **BAND)
-        for name in commanded:
-            panel.plot(tracks.t, tracks.column(f"ctrl_{name}"), color=color[name], **LINE)
+    names = [*dict.fromkeys(name for _, of_joints in panels for _, name, _ in of_joints)]
+    chart = over_time(tracks, 0.6 + 1.9 * len(panels), *(label for label, _ in panels))
+    for i, name in enumerate(names):  # of full colour, where the first curve may be a pale band
+        chart.panels[0].plot([], [], color=line_color(i), label=name)
+    for panel, (_, of_joints) in zip(chart.panels, panels, strict=True):
+        for stem, name, look in of_joints:
+            color = line_color(names.index(name))
+            panel.plot(tracks.t, tracks.column(f"{stem}_{name}"), color=color, **look)
     return chart
+
+
+def _wheel_panels(tracks: LogArrays) -> list[tuple[str, list[tuple[str, str, Look]]]]:
+    """The speed of the wheels, and the angle of the steering joints, as far as the log has them:
+    label of a panel, and of its curves stem and joint of the column, and look.
+    """
+    found = []
+    for stem, steering, label in (("qd", False, "speed [rad/s]"), ("q", True, "angle [rad]")):
+        measured = [(stem, name, BAND) for name in _joints(tracks, stem, steering)]
+        commanded = [("ctrl", name, LINE) for name in _joints(tracks, "ctrl", steering)]
+        if measured or commanded:
+            found.append((label, measured + commanded))
+    return found
 
 
 def _joints(tracks: LogArrays, stem: str, steering: bool) -> list[str]:
     """Names of the steering joints or of the wheels with values in the columns of a stem; the
     floating base (`root_`) is neither.
     """
-    return [
-        n for n in _moving(tracks, stem) if not n.startswith("root_") and ("steer" in n) == steering
-    ]
+    joints = [name for name in _moving(tracks, stem) if not name.startswith("root_")]
+    return [name for name in joints if ("steer" in name) == steering]
 
 
 def localisation_error(tracks: LogArrays) -> Chart | None:

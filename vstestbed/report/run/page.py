@@ -8,7 +8,7 @@ import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 import numpy as np
 import polars as pl
@@ -34,20 +34,20 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from vstestbed.loop.recording import Recording
+    from vstestbed.scenario.scenario import Scenario
 
 Summary = Mapping[str, Any]
 Item = tuple[str, str, str]  # Title, number, unit
-FARTHEST_M: Final = (
-    1e6  # Positions beyond [m] are no run's, which ends (`diverged`) 200 m away from its target
-)
-EMBED_BYTES: Final = 30_000_000
+# Positions beyond [m] are no run's, which ends (`diverged`) 200 m away from its target
+FARTHEST_M = 1e6
+EMBED_BYTES = 30_000_000
 """Films up to this size together are embedded in the page; larger ones are linked, so that a
 browser can still open it.
 """
-NOTEBOOK_PX: Final = 720  # Height of the report in a notebook [px]
-FILMS: Final = {"camera": "What the camera sees", "overview": "From outside"}
-TITLES: Final = {"scenario.yaml": "Scenario as given", "resolved.yaml": "Scenario as it ran"}
-ROW_METRICS: Final = tuple(
+NOTEBOOK_PX = 720  # Height of the report in a notebook [px]
+FILMS = {"camera": "What the camera sees", "overview": "From outside"}
+TITLES = {"scenario.yaml": "Scenario as given", "resolved.yaml": "Scenario as it ran"}
+ROW_METRICS = tuple(
     metric
     for metric in (*OF_A_RUN, *EVERY_RUN, *SOME_RUNS)
     if not metric.tile and metric.name != "judged_error"
@@ -60,12 +60,12 @@ STUCK, LEAST_TOLD, STUCK_FRAMES = 0.02, 1e-4, 4
 so large [rad/s, m/s], for so many frames.
 """
 LEAST_STOOD_S = 0.2  # in all, of a joint that is told of
-CONTINUING: Final = ("worst_task_error_m", "path_length_m", "real_time_factor")
+CONTINUING = ("worst_task_error_m", "path_length_m", "real_time_factor")
 """The large numbers of a continuing task, which has no goal pose to measure an error from."""
 
 # The figures of a run's page in their order, each with its title; `run.html` has the captions, by
 # the names of these functions.
-FIGURES: Final[dict[Callable[[LogArrays], Chart | None], str]] = {
+FIGURES: dict[Callable[[LogArrays], Chart | None], str] = {
     space.features: "Features in the image",
     space.other_cameras: "Features in the pictures of further cameras",
     space.polar: "Features in polar coordinates",
@@ -112,41 +112,35 @@ def write_report(
     from vstestbed.scenario.load import GIVEN, RESOLVED
     from vstestbed.scenario.yaml_marks import text_of
 
-    texts = {
-        name: text_of(run_dir / name)
-        for name in (GIVEN, RESOLVED)
-        if name == GIVEN or (run_dir / name).is_file()
-    }
+    texts = {GIVEN: text_of(run_dir / GIVEN)}
+    if (run_dir / RESOLVED).is_file():
+        texts[RESOLVED] = text_of(run_dir / RESOLVED)
     summary = _summary(run_dir)
-    videos = {
-        path.stem: path for path in (run_dir / f"{name}.mp4" for name in FILMS) if path.is_file()
-    }
+    videos = {name: run_dir / f"{name}.mp4" for name in FILMS}
+    videos = {name: path for name, path in videos.items() if path.is_file()}
     if log is None or setting is None:
         scenario = load_run(run_dir, plugins)
         setting = setting or Setting.of(scenario)
         if log is None:
-            log = open_log(run_dir, scenario)
-            if not len(log):
-                raise RunFolderError(
-                    run_dir, "has a log without frames; there is nothing to report", NOTHING_RAN
-                )
-            for name in (f"{who}_{axis}" for who in ("cam", "tgt") for axis in "xyz"):
-                # only a damaged file can have it, and figures have no scale for it
-                if not (abs(log[name]) < FARTHEST_M).all():
-                    raise RunFolderError(
-                        run_dir,
-                        (
-                            f"its log is damaged (a position over {FARTHEST_M:g} m"
-                            f" in the column {name})"
-                        ),
-                    )
-    goals = [
-        path.read_bytes()
-        for path in sorted(run_dir.glob("goal*.png"), key=lambda path: (len(path.name), path.name))
-    ]
+            log = _log_of(run_dir, scenario)
+    goals = sorted(run_dir.glob("goal*.png"), key=lambda path: (len(path.name), path.name))
+    pictures = [path.read_bytes() for path in goals]
     return write_whole(
-        run_dir / "report.html", render_page(log, summary, texts, videos, setting, goals)
+        run_dir / "report.html", render_page(log, summary, texts, videos, setting, pictures)
     )
+
+
+def _log_of(run_dir: Path, scenario: Scenario) -> Log:
+    """The log of a run's folder, which has a frame, and positions that a figure has a scale for."""
+    log = open_log(run_dir, scenario)
+    if not len(log):
+        words = "has a log without frames; there is nothing to report"
+        raise RunFolderError(run_dir, words, NOTHING_RAN)
+    for name in [f"{who}_{axis}" for who in ("cam", "tgt") for axis in "xyz"]:
+        if not (abs(log[name]) < FARTHEST_M).all():
+            where = f"a position over {FARTHEST_M:g} m in the column {name}"
+            raise RunFolderError(run_dir, f"its log is damaged ({where})")
+    return log
 
 
 def render_page(
@@ -169,41 +163,43 @@ def render_page(
         goal_pictures: PNG files of the pictures taken at the goal views.
     """
     setting = setting or Setting()
-    tracks, name = LogArrays.of(log, setting), str(summary.get("scenario") or "Run")
-    charts = ((draw.__name__, title, draw(tracks)) for draw, title in FIGURES.items())
-    timing = [
-        (str(k), float(v))
-        for k, v in dict(summary.get("time_ms") or {}).items()
-        if _is_number(v) and v >= 0
-    ]
-    total_ms = sum(ms for _, ms in timing)
+    tracks = LogArrays.of(log, setting)
+    name = str(summary.get("scenario") or "Run")
+    outcome = outcome_text(summary)
+    drawn = []
+    for draw, title in FIGURES.items():
+        chart = draw(tracks)
+        if chart is not None:
+            drawn.append((draw.__name__, title, chart.svg(title)))
+    versions: Summary = summary.get("versions") or {}
     return page(
         "run.html",
         name,
-        f"{name}: {outcome_text(summary)}",
+        f"{name}: {outcome}",
         description=setting.description,
         changed=setting.changed,
         good=bool(summary.get("success")),
-        outcome=outcome_text(summary),
+        outcome=outcome,
         sentences=" ".join([sentences(summary), *events(tracks)]),
         tiles=tiles(summary),
         rows=rows(summary),
-        figures=[
-            (name, title, chart.svg(title)) for name, title, chart in charts if chart is not None
-        ],
+        figures=drawn,
         films=_films(videos),
         goals=[data_url("image/png", png) for png in goal_pictures],
-        timing=[(part, ms, line_color(i)) for i, (part, ms) in enumerate(timing)]
-        if total_ms > 0
-        else [],
-        total_ms=total_ms,
+        timing=_timing(summary),
         documents=[(f"{TITLES.get(name, name)} ({name})", text) for name, text in texts.items()],
-        versions=[
-            (str(package), str(version), "")
-            for package, version in dict(summary.get("versions") or {}).items()
-        ],
+        versions=[(package, str(version), "") for package, version in versions.items()],
         everything=json.dumps(dict(summary), indent=2, default=str),
     )
+
+
+def _timing(summary: Summary) -> list[tuple[str, float, str]]:
+    """Where the time of a frame went [ms], each part with its colour; empty where it took none."""
+    known: Summary = summary.get("time_ms") or {}
+    parts = {part: ms for part, ms in known.items() if _is_number(ms) and ms >= 0}
+    if not any(parts.values()):
+        return []
+    return [(part, ms, line_color(i)) for i, (part, ms) in enumerate(parts.items())]
 
 
 def recording_cell(recording: Recording) -> str:
@@ -227,7 +223,8 @@ def figure_of(recording: Recording, name: str) -> Figure:
 
     tracks = LogArrays.of(recording.rows, Setting.of(recording.scenario))
     drawers = {draw.__name__: draw for draw in FIGURES}
-    if name not in drawers or (chart := drawers[name](tracks)) is None:
+    chart = drawers[name](tracks) if name in drawers else None
+    if chart is None:
         there = [known for known, draw in drawers.items() if draw(tracks) is not None]
         raise ParameterError.choice("plot", there, name)
     return chart_figure(chart)
@@ -244,21 +241,27 @@ def sentences(summary: Summary) -> str:
     """
     reason = str(summary.get("reason") or "")
     found = [reason[:1].upper() + reason[1:].rstrip(".") + "."] if reason else []
-    swung_s, frames = summary.get("swung_s"), summary.get("swing_frames")
+    swung_s = summary.get("swung_s")
+    frames = summary.get("swing_frames")
     # the outcome `unstable` says so itself
     if _is_number(swung_s) and _is_number(frames) and summary.get("outcome") != "unstable":
         found.append(
-            f"On the way its command {reversal(float(frames or 0))}, for {number(swung_s)} s"
+            f"On the way its command {reversal(frames)}, for {number(swung_s)} s"
             " without a break: it is badly damped."
         )
     if (by := summary.get("judged_by")) is not None:  # older summaries have none
-        both = (summary["judged_error"], summary["judged_limit"])
-        shown = [
-            in_words_unit(x, str(summary["judged_unit"])) if _is_number(x) else None for x in both
-        ]
-        value, limit = (f"{number(x[0])} {x[1]}" if x else "unknown" for x in shown)
+        value = _judged(summary, "judged_error")
+        limit = _judged(summary, "judged_limit")
         found.append(f"Task error by {MEASURED_BY[by]}: {value}, limit {limit}.")
     return " ".join(found)
+
+
+def _judged(summary: Summary, name: str) -> str:
+    """The error by which the task is judged, or its limit, in words."""
+    if not _is_number(summary[name]):
+        return "unknown"
+    value, unit = in_words_unit(summary[name], str(summary["judged_unit"]))
+    return f"{number(value)} {unit}"
 
 
 def events(tracks: LogArrays) -> list[str]:
@@ -267,12 +270,9 @@ def events(tracks: LogArrays) -> list[str]:
     """
     found = [*_limits(tracks), *_friction(tracks)]
     if moving := still_moving(tracks):
-        ends = tracks.setting.band_m is None
-        words = (
-            "In its last second it still moved"
-            if ends
-            else "Its task has no end, and in its last second it moved on"
-        )
+        words = "In its last second it still moved"
+        if tracks.setting.band_m is not None:
+            words = "Its task has no end, and in its last second it moved on"
         found.append(
             f"{words}, by more than the {STANDS_RADPS:g} rad or m of a robot"
             f" that stands: {listed(moving)}."
@@ -282,19 +282,17 @@ def events(tracks: LogArrays) -> list[str]:
 
 def _limits(tracks: LogArrays) -> Iterator[str]:
     """How many commands were shortened or turned, and by what."""
-    t, limit = tracks.t, tracks.column("limit")
-    if (limited := (tracks.column("scale") < UNLIMITED) | (limit > 0)).any():
-        last = float(t[np.flatnonzero(limited)[-1]])
+    t = tracks.t
+    limit = tracks.column("limit")
+    limited = np.flatnonzero((tracks.column("scale") < UNLIMITED) | (limit > 0))
+    if len(limited):
         yield (
-            f"Limits of law or robot shortened or turned {limited.sum()} of its {len(t)} commands,"
-            f" the last at {last:.3g} s."
+            f"Limits of law or robot shortened or turned {len(limited)} of its {len(t)} commands,"
+            f" the last at {t[limited[-1]]:.3g} s."
         )
-    if (limit > 0).any():
-        by = [
-            f"{word.replace('_', ' ')} {counted(n, 'frame')}"
-            for i, word in enumerate(WORDS)
-            if word and (n := int((limit == i).sum()))
-        ]
+    frames = {word: int((limit == i).sum()) for i, word in enumerate(WORDS) if word}
+    by = [f"{word.replace('_', ' ')} {counted(n, 'frame')}" for word, n in frames.items() if n]
+    if by:
         turned = np.degrees(np.nanmax(tracks.column("turned_rad")))
         way = f"; its motion was turned by up to {turned:.2g} degrees" if turned else ""
         yield f"The robot's limits were: {listed(by)}{way}."
@@ -302,16 +300,17 @@ def _limits(tracks: LogArrays) -> Iterator[str]:
 
 def _friction(tracks: LogArrays) -> Iterator[str]:
     """Which joints friction held, for how long."""
-    joints = tracks.named("qd") if tracks.setting.told_speeds and not tracks.setting.planar else []
-    held = {name: stood for name in joints if (stood := _held(tracks, name)) is not None}
+    if not tracks.setting.told_speeds or tracks.setting.planar:
+        return
+    spans = {name: _held(tracks, name) for name in tracks.named("qd")}
+    held = {name: span for name, span in spans.items() if span is not None}
     if held:
-        longest, first = max(s for s, _ in held.values()), min(t for _, t in held.values())
-        words = (
-            "although it was told to move" if len(held) == 1 else "although they were told to move"
-        )
+        longest = max(for_s for for_s, _ in held.values())
+        first = min(from_s for _, from_s in held.values())
+        who = "it was" if len(held) == 1 else "they were"
         yield (
-            f"Friction held {listed(list(held))} for up to {longest:.2g} s {words},"
-            f" first at {first:.3g} s (stick-slip)."
+            f"Friction held {listed(list(held))} for up to {longest:.2g} s although {who} told to"
+            f" move, first at {first:.3g} s (stick-slip)."
         )
 
 
@@ -329,22 +328,20 @@ def still_moving(tracks: LogArrays) -> list[str]:
 def _joints_moving(tracks: LogArrays, last: NDArray[np.bool_]) -> Iterator[str]:
     driven = tracks.named("ctrl")
     # a car's wheels are not: they roll on with it
-    for name in [joint for joint in tracks.named("q") if joint in driven]:
+    for name in tracks.named("q"):
         span = float(np.ptp(tracks.column(f"q_{name}")[last]))
         unit = "m" if name in tracks.setting.slides else "rad"
-        if span > STANDS_RADPS:
+        if name in driven and span > STANDS_RADPS:
             yield f"{name} by {' '.join(with_unit(span, unit))} from end to end"
 
 
 def _camera_moving(tracks: LogArrays, last: NDArray[np.bool_]) -> Iterator[str]:
     T = tracks.poses("cam")[last]
-    way = np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1).sum()
     R = T[:, :3, :3]
-    turned = rotation_angle(R[:-1].mT @ R[1:]).sum()
-    for what, unit, size in (
-        ("camera", "m", float(way)),
-        ("camera's direction", "rad", float(turned)),
-    ):
+    way = np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1)
+    turned = rotation_angle(R[:-1].mT @ R[1:])
+    for what, unit, steps in (("camera", "m", way), ("camera's direction", "rad", turned)):
+        size = float(steps.sum())
         if size > STANDS_RADPS:  # not of a log without poses, whose are NaN
             yield f"the {what} by {' '.join(with_unit(size, unit))} along its path"
 
@@ -353,14 +350,11 @@ def _held(tracks: LogArrays, joint: str) -> tuple[float, float] | None:
     """For how long in all a joint stood although it was told to move, and from when on [s]; None
     where it did not.
     """
-    t, speed, told = (
-        tracks.t,
-        np.abs(tracks.column(f"qd_{joint}")),
-        np.abs(tracks.column(f"ctrl_{joint}")),
-    )
-    edges = np.flatnonzero(
-        np.diff((speed < STUCK * told) & (told > LEAST_TOLD), prepend=False, append=False)
-    )
+    t = tracks.t
+    speed = np.abs(tracks.column(f"qd_{joint}"))
+    told = np.abs(tracks.column(f"ctrl_{joint}"))
+    stands = (speed < STUCK * told) & (told > LEAST_TOLD)
+    edges = np.flatnonzero(np.diff(stands, prepend=False, append=False))
     stood = [(a, b) for a, b in edges.reshape(-1, 2).tolist() if b - a >= STUCK_FRAMES]
     held = sum(float(t[b - 1] - t[a]) for a, b in stood)
     return (held, float(t[stood[0][0]])) if held >= LEAST_STOOD_S else None
@@ -370,49 +364,49 @@ def tiles(summary: Summary) -> list[Item]:
     """The most important numbers; of a law that works on grey levels and measures no markers the
     error in grey levels.
     """
-    other = (
-        "px" if "final_error_grey" in summary and summary.get("final_error_px") is None else "grey"
-    )
-    large = [
-        m.name
-        for m in KNOWN.values()
-        if m.tile and (not m.where or summary.get(m.name) is not None)
-    ]
-    ended = [name for name in large if name not in (f"final_error_{other}", "worst_task_error_m")]
-    return _items(
-        (KNOWN[name] for name in (CONTINUING if "worst_task_error_m" in summary else ended)),
-        summary,
-    )
+    if "worst_task_error_m" in summary:
+        return _items([KNOWN[name] for name in CONTINUING], summary)
+    grey = "final_error_grey" in summary and summary.get("final_error_px") is None
+    other = "final_error_px" if grey else "final_error_grey"
+    large = [m for m in _had([*KNOWN.values()], summary) if m.tile and m.name != other]
+    return _items(large, summary)
 
 
 def rows(summary: Summary) -> list[Item]:
     """The other numbers, one per line; those of the scenario's own metrics come last."""
-    known = [
-        metric for metric in ROW_METRICS if not metric.where or summary.get(metric.name) is not None
-    ]
-    return _items(
-        [*known, *(metric for name, metric in own_metrics().items() if name in summary)], summary
-    )
+    own = [metric for name, metric in own_metrics().items() if name in summary]
+    return _items([*_had(ROW_METRICS, summary), *own], summary)
+
+
+def _had(metrics: Sequence[Metric], summary: Summary) -> list[Metric]:
+    """Those of every run, and those of some runs that this one has."""
+    return [m for m in metrics if not m.where or summary.get(m.name) is not None]
 
 
 def _items(metrics: Iterable[Metric], summary: Summary) -> list[Item]:
-    found = ((m, summary.get(m.name)) for m in metrics)
-    return [
-        (m.title, *with_unit(m.scale * x if isinstance(x, float) else x, m.unit)) for m, x in found
-    ]
+    found = []
+    for metric in metrics:
+        value = summary.get(metric.name)
+        if isinstance(value, float):
+            value *= metric.scale
+        found.append((metric.title, *with_unit(value, metric.unit)))
+    return found
 
 
-def _is_number(value: object) -> bool:
+def _is_number(value: object) -> TypeGuard[float]:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _films(videos: Mapping[str, Path]) -> list[Film]:
     """The films: embedded in the page as long as they fit, else linked to the files beside it."""
-    left, films = EMBED_BYTES, []
+    left = EMBED_BYTES
+    films = []
     for name, path in videos.items():  # in their order: the camera's film is embedded first
         size = path.stat().st_size
-        films.append(film_of(FILMS.get(name, name), path, size <= left))
-        left -= size if size <= left else 0
+        embedded = size <= left
+        films.append(film_of(FILMS.get(name, name), path, embedded))
+        if embedded:
+            left -= size
     return films
 
 

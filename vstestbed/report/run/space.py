@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from vstestbed.core.geometry import Array, inverse, transform
 from vstestbed.features import Polar, Spherical
-from vstestbed.report.chart import Chart, ChartPanel, Space
+from vstestbed.report.chart import Chart, ChartPanel, Space, Words
 from vstestbed.report.marks import (
     AIM,
     AXIS_COLORS,
@@ -34,6 +34,7 @@ from vstestbed.report.run.tracks import LogArrays, largest_deviation, visible_re
 if TYPE_CHECKING:
     from mpl_toolkits.mplot3d import Axes3D
 
+SUFFIXES = ("", "_true", "_goal")  # of the columns of measured and true markers, and of their goals
 OUTLINES: tuple[Look, ...] = (
     {"label": "start", "color": INK, "linewidth": 1.0, "linestyle": ":"},
     {"label": "end", "color": INK, "linewidth": 1.6},
@@ -47,15 +48,15 @@ def features(tracks: LogArrays) -> Chart | None:
     """
     if tracks.markers == 0:
         return None
-    width, height = tracks.setting.width, tracks.setting.height
+    setting = tracks.setting
     chart = Chart()
-    (panel,) = chart.panels
-    measured, true, goal = (tracks.pixels(suffix) for suffix in ("", "_true", "_goal"))
-    if tracks.setting.changing:  # a row goes on with another point where its goal is another
+    measured, true, goal = (tracks.pixels(suffix) for suffix in SUFFIXES)
+    if setting.changing:  # a row goes on with another point where its goal is another
         other = np.zeros(goal.shape[:2], dtype=bool)
         other[1:] = (goal[1:] != goal[:-1]).any(axis=2)
-        measured, true = (np.where(other[..., None], np.nan, uv) for uv in (measured, true))
-    _image_plane(panel, tracks, (measured, true, goal), width, height)
+        measured[other] = np.nan
+        true[other] = np.nan
+    _image_plane(chart.panels[0], tracks, (measured, true, goal), (setting.width, setting.height))
     chart.fit(2.1, 5.4)
     return chart
 
@@ -66,11 +67,9 @@ def other_cameras(tracks: LogArrays) -> Chart | None:
     if tracks.markers == 0 or not cameras:
         return None
     chart = Chart(4.2 * len(cameras), len(cameras))
-    for panel, (name, (width, height)) in zip(chart.panels, cameras.items(), strict=True):
-        measured, true, goal = (
-            tracks.pixels(suffix, f"{name}_") for suffix in ("", "_true", "_goal")
-        )
-        _image_plane(panel, tracks, (measured, true, goal), width, height)
+    for panel, (name, size) in zip(chart.panels, cameras.items(), strict=True):
+        measured, true, goal = (tracks.pixels(suffix, f"{name}_") for suffix in SUFFIXES)
+        _image_plane(panel, tracks, (measured, true, goal), size)
         panel.title = name
     if len(cameras) == 1:
         chart.fit(2.1, 5.4)
@@ -81,34 +80,34 @@ def _image_plane(
     panel: ChartPanel,
     tracks: LogArrays,
     trails: tuple[Array, Array, Array],
-    width: int | None,
-    height: int | None,
+    size: tuple[int | None, int | None],
 ) -> None:
-    """Draw trails, measured, true and of the goal, in the picture of a camera of this size [px],
-    with its border.
+    """Draw trails, measured, true and of the goal, in the picture of a camera of this size (width,
+    height) [px], with its border.
     """
     draw = draw_outlines if tracks.setting.outlined else draw_trails
     draw(panel, *trails, tracks.names)
-    panel.equal, panel.labels = True, ("u [px]", "v [px]")
+    panel.equal = True
+    panel.labels = ("u [px]", "v [px]")
     (x0, x1), (y0, y1) = panel.limits()
-    if width and height:
-        # pixel centres are integers, so that the image begins at -0.5
-        left, right, top, bottom = -0.5, width - 0.5, -0.5, height - 0.5
-        panel.plot(
-            [left, right, right, left, left],
-            [top, top, bottom, bottom, top],
-            color=INK,
-            linewidth=1.0,
-            alpha=0.6,
-            zorder=1,
-        )
-        # markers that leave the image are shown, up to half an image away
-        left, right = min(left, max(x0, -0.5 * width)), max(right, min(x1, 1.5 * width))
-        top, bottom = min(top, max(y0, -0.5 * height)), max(bottom, min(y1, 1.5 * height))
-        margin = 0.015 * width
-        panel.xlim, panel.ylim = (left - margin, right + margin), (bottom + margin, top - margin)
-    else:
+    width, height = size
+    if not width or not height:
         panel.ylim = y1, y0  # v down, as in the image
+        return
+    # pixel centres are integers, so that the image begins at -0.5
+    right = width - 0.5
+    bottom = height - 0.5
+    border_u = [-0.5, right, right, -0.5, -0.5]
+    border_v = [-0.5, -0.5, bottom, bottom, -0.5]
+    panel.plot(border_u, border_v, color=INK, linewidth=1.0, alpha=0.6, zorder=1)
+    # markers that leave the image are shown, up to half an image away
+    margin = 0.015 * width
+    left = min(-0.5, max(x0, -0.5 * width)) - margin
+    right = max(right, min(x1, 1.5 * width)) + margin
+    top = min(-0.5, max(y0, -0.5 * height)) - margin
+    bottom = max(bottom, min(y1, 1.5 * height)) + margin
+    panel.xlim = left, right
+    panel.ylim = bottom, top
 
 
 def draw_trails(
@@ -124,15 +123,8 @@ def draw_trails(
             panel.plot(*at, **look)
         at = _edge(goal[:, i], -1)
         if names and at.size:
-            panel.words.append(
-                (
-                    float(at[0, 0]),
-                    float(at[1, 0]),
-                    f"\N{NO-BREAK SPACE}\N{NO-BREAK SPACE}{names[i]}",
-                    "start",
-                    color,
-                )
-            )
+            name = f"\N{NO-BREAK SPACE}\N{NO-BREAK SPACE}{names[i]}"
+            panel.words.append(Words(*at[:, 0].tolist(), name, color=color))
     trail_keys(panel)
 
 
@@ -157,20 +149,18 @@ def trail_marks(measured: Array, goal: Array, color: str) -> list[tuple[Array, L
     """Start, end and goal of a trail (T, k): points (k, 1) and their looks; only the start's is
     filled.
     """
-    start, end, aim = _edge(measured, 0), _edge(measured, -1), _edge(goal, -1)
     return [
-        (start, {"color": color, "fill": color} | START),
-        (end, {"color": color} | END),
-        (aim, {"color": color} | AIM),
+        (_edge(measured, 0), {"color": color, "fill": color} | START),
+        (_edge(measured, -1), {"color": color} | END),
+        (_edge(goal, -1), {"color": color} | AIM),
     ]
 
 
 def trail_keys(panel: ChartPanel) -> None:
     """Legend entries for the marks and lines of `draw_trails`."""
-    looks = [look for _, look in trail_marks(np.empty((0, 2)), np.empty((0, 2)), INK)]
-    for look, label in zip(
-        (*looks, LINE, BAND), ("start", "end", "goal", "measured", "true"), strict=True
-    ):
+    marks = trail_marks(np.empty((0, 2)), np.empty((0, 2)), INK)
+    looks = [*(look for _, look in marks), LINE, BAND]
+    for look, label in zip(looks, ("start", "end", "goal", "measured", "true"), strict=True):
         panel.plot([], [], label=label, **look)
 
 
@@ -193,56 +183,62 @@ def plane(tracks: LogArrays) -> Chart | None:
     """Paths in the plane: true, estimated and by odometry; start, end, goals; landmarks; visible
     region at both ends.
     """
-    setting, places = tracks.setting, tracks.planar_poses("base")
-    known = np.isfinite(places).all(axis=1)
-    if not setting.planar or not known.any():
+    setting = tracks.setting
+    places = tracks.planar_poses("base")
+    places = places[np.isfinite(places).all(axis=1)]
+    if not setting.planar or not len(places):
         return None
-    targets, points = _known(tracks.poses("tgt")), setting.points
-    # where the target was last
-    landmarks = (
-        transform(targets[-1], points) if points is not None and len(targets) else np.empty((0, 3))
-    )
-    moved = (
-        targets[:, :2, 3]
-        if len(targets) and np.ptp(targets[:, :2, 3], axis=0).max() > 1e-3
-        else np.empty((0, 2))
-    )
+    landmarks = _landmarks(tracks)
+    target = _known(tracks.poses("tgt"))[:, :2, 3]
+    if not _moves(target, 1e-3):
+        target = target[:0]
     shown = np.concatenate(
-        [places[known, :2], setting.goals[:, :2], landmarks[:, :2], setting.reference_path, moved]
+        [places[:, :2], setting.goals[:, :2], landmarks[:, :2], setting.reference_path, target]
     )
-    low, high = shown.min(axis=0), shown.max(axis=0)
+    low = shown.min(axis=0)
+    high = shown.max(axis=0)
     # [m]; a vehicle that hardly moves is not magnified further
     span = float(max((high - low).max(), 0.5))
     chart = Chart()
     (panel,) = chart.panels
     _draw_views(panel, tracks, float(landmarks[:, 2].mean()) if len(landmarks) else 0.0, span)
     if len(setting.reference_path):
-        panel.plot(
-            *setting.reference_path.T, color=INK, linewidth=0.9, linestyle=":", label="route"
-        )
-    if len(moved):
-        panel.plot(*moved.T, color=GOAL, linewidth=1.2, label="target")
-    for i, goal in enumerate(setting.goals):
-        last = i == len(setting.goals) - 1
-        label = "goal" if last else "goals on the way" if i == 0 else ""
-        _dart(panel, goal, (0.075 if last else 0.045) * span, label, GOAL, filled=False)
-    _draw_paths(panel, tracks, places[known], span)
-    for (x, y, _), color in zip(landmarks, marker_colors(len(landmarks)), strict=True):
-        panel.plot(
-            [x],
-            [y],
-            color=color,
-            fill=color,
-            marker="o",
-            markersize=5.8,
-            linewidth=0,
-            label="landmarks",
-            zorder=4,
-        )
-    panel.equal, panel.labels = True, ("x [m]", "y [m]")
+        route: Look = {"linewidth": 0.9, "linestyle": ":", "label": "route"}
+        panel.plot(*setting.reference_path.T, color=INK, **route)
+    if len(target):
+        panel.plot(*target.T, color=GOAL, linewidth=1.2, label="target")
+    for goal in setting.goals[:-1]:
+        _dart(panel, goal, 0.045 * span, "goals on the way", GOAL, filled=False)
+    for goal in setting.goals[-1:]:
+        _dart(panel, goal, 0.075 * span, "goal", GOAL, filled=False)
+    _draw_paths(panel, tracks, places, span)
+    for place, color in zip(landmarks[:, :2], marker_colors(len(landmarks)), strict=True):
+        disc = _disc(color) | {"markersize": 5.8, "label": "landmarks", "zorder": 4}
+        panel.plot(*place[:, None], **disc)
+    panel.equal = True
+    panel.labels = ("x [m]", "y [m]")
     panel.xlim, panel.ylim = zip(low - 0.09 * span, high + 0.09 * span, strict=True)
     chart.fit(1.9, 5.0)
     return chart
+
+
+def _landmarks(tracks: LogArrays) -> Array:
+    """The markers (N, 3) [m] where the target was last; none where that is unknown."""
+    targets = _known(tracks.poses("tgt"))
+    points = tracks.setting.points
+    if points is None or not len(targets):
+        return np.empty((0, 3))
+    return transform(targets[-1], points)
+
+
+def _moves(path: Array, least: float) -> bool:
+    """Whether the points (T, k) of a path differ by more than rounding, which is `least` [m]."""
+    return len(path) > 0 and bool(np.ptp(path, axis=0).max() > least)
+
+
+def _disc(color: str) -> Look:
+    """The look of a marker of the target."""
+    return {"color": color, "fill": color, "marker": "o", "linewidth": 0}
 
 
 def _known(poses: Array) -> Array:
@@ -257,9 +253,11 @@ def _draw_views(panel: ChartPanel, tracks: LogArrays, height: float, span: float
     from contourpy import contour_generator  # here: of vehicles alone
 
     cameras = _known(tracks.poses("cam"))
+    if not len(cameras):
+        return
     camera = tracks.setting.camera
-    for T, color in ((cameras[0], INK), (cameras[-1], TRUE)) if len(cameras) else ():
-        assert camera is not None  # a vehicle's setting has it
+    assert camera is not None  # a vehicle's setting has it
+    for T, color in ((cameras[0], INK), (cameras[-1], TRUE)):
         x, y, seen = visible_region(camera, T, height, 0.45 * span)
         if not seen.any():
             continue
@@ -270,9 +268,9 @@ def _draw_views(panel: ChartPanel, tracks: LogArrays, height: float, span: float
             # they are not filled
             outlines = np.insert(region, start[1:-1].astype(int), np.nan, axis=0).T
             panel.plot(*outlines, color=color, fill=color, linewidth=0, alpha=0.07, zorder=1)
-        # no line where all within reach is visible
-        for line in generator.lines(0.5) if seen.min() < 1 else ():
-            panel.plot(*line.T, color=color, alpha=0.35, linewidth=0.7, zorder=1)
+        if seen.min() < 1:  # else all within reach is visible, which has no outline
+            for line in generator.lines(0.5):
+                panel.plot(*line.T, color=color, alpha=0.35, linewidth=0.7, zorder=1)
 
 
 def _draw_paths(panel: ChartPanel, tracks: LogArrays, true: Array, span: float) -> None:
@@ -283,29 +281,19 @@ def _draw_paths(panel: ChartPanel, tracks: LogArrays, true: Array, span: float) 
         path = tracks.planar_poses(stem)
         if np.isfinite(path).any():
             panel.plot(path[:, 0], path[:, 1], color=color, linewidth=0.9, label=label, zorder=3)
-    panel.plot(
-        *tracks.planar_poses("base")[:, :2].T,
-        color=TRUE,
-        linewidth=4.0,
-        alpha=0.35,
-        label="true way",
-        zorder=2.5,
-    )
+    way: Look = {"linewidth": 4.0, "alpha": 0.35, "label": "true way", "zorder": 2.5}
+    panel.plot(*tracks.planar_poses("base")[:, :2].T, color=TRUE, **way)
     expected = tracks.setting.expected_path
     if expected is not None and len(expected) > 1:
-        label = (
-            "ideal bicycle: at most"
-            f" {' '.join(with_unit(largest_deviation(true[:, :2], expected), 'm'))} off"
-        )
-        panel.plot(
-            *expected.T, color=INK, linewidth=1.0, linestyle=(0, (5, 2)), label=label, zorder=3
-        )
+        off = " ".join(with_unit(largest_deviation(true[:, :2], expected), "m"))
+        ideal: Look = {"linewidth": 1.0, "linestyle": (0, (5, 2)), "zorder": 3}
+        panel.plot(*expected.T, color=INK, label=f"ideal bicycle: at most {off} off", **ideal)
     # headings evenly along the way, without its ends: every 0.09 of the figure's extent, at most 30
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(true[:, :2], axis=0), axis=1))])
+    steps = np.linalg.norm(np.diff(true[:, :2], axis=0), axis=1)
+    along = np.cumsum([0.0, *steps])
     count = min(int(along[-1] / (0.09 * span)), 30)
-    for place in true[
-        np.unique(np.searchsorted(along, np.linspace(0, along[-1], count + 2)[1:-1]))
-    ]:
+    evenly = np.linspace(0, along[-1], count + 2)[1:-1]
+    for place in true[np.unique(np.searchsorted(along, evenly))]:
         _dart(panel, place, 0.022 * span, "", TRUE, filled=True)
     _dart(panel, true[0], 0.05 * span, "start", INK, filled=False)
     _dart(panel, true[-1], 0.05 * span, "end", TRUE, filled=True)
@@ -318,14 +306,13 @@ def _dart(
     legend.
     """
     # rows are points, hence the transposed rotation
-    c, s = np.cos(place[2]), np.sin(place[2])
-    x, y = (size * DART @ np.array([[c, s], [-s, c]]) + place[:2]).T
-    face = color if filled else "none"
-    panel.plot(
-        [*x, x[0]], [*y, y[0]], color=color, fill=face, linewidth=0.5 if filled else 1.3, zorder=5
-    )
+    c = np.cos(place[2])
+    s = np.sin(place[2])
+    x, y = (size * DART[[0, 1, 2, 3, 0]] @ np.array([[c, s], [-s, c]]) + place[:2]).T
+    look: Look = {"color": color, "fill": color if filled else "none"}
+    panel.plot(x, y, linewidth=0.5 if filled else 1.3, zorder=5, **look)
     if label:
-        panel.plot([], [], color=color, fill=face, label=label, marker=">", markersize=7)
+        panel.plot([], [], label=label, marker=">", markersize=7, **look)
 
 
 # Camera path in the world, 3-D: path, viewing pyramids, target, goal. Equal scale on all axes.
@@ -344,70 +331,54 @@ def camera_path(tracks: LogArrays) -> Chart | None:
     """
     if tracks.setting.planar:
         return None
-    cameras, targets = _known(tracks.poses("cam")), _known(tracks.poses("tgt"))
+    cameras = _known(tracks.poses("cam"))
+    targets = _known(tracks.poses("tgt"))
     if len(cameras) == 0:
         return None
     view = tracks.setting.T_camera_target
-    # for the last pose of the target
-    goal = targets[-1] @ inverse(view) if view is not None and len(targets) else None
-    shown = [cameras[:, :3, 3], targets[:, :3, 3]] + (
-        [goal[None, :3, 3]] if goal is not None else []
-    )
-    if len(targets) and tracks.setting.points is not None:
-        shown.append(transform(targets[-1], tracks.setting.points))
+    path = cameras[:, :3, 3]
+    goal = None
+    shown = [path, targets[:, :3, 3], _landmarks(tracks)]
+    if view is not None and len(targets):
+        goal = targets[-1] @ inverse(view)  # for the last pose of the target
+        shown.append(goal[None, :3, 3])
     points = np.concatenate(shown)
     chart = Chart()
     space = Space(chart.panels[0], elev=22, azim=-62)
     # [m] of a pyramid; 1 m where nothing moves and no target is known
     size = 0.13 * float(np.ptp(points, axis=0).max() or 1.0)
-    low, high = points.min(axis=0) - size, points.max(axis=0) + size
+    low = points.min(axis=0) - size
+    high = points.max(axis=0) + size
     span = np.maximum(high - low, 0.3 * (high - low).max())  # a flat scene gets some thickness
     space.box((low + high - span) / 2, (low + high + span) / 2)
-    path = cameras[:, :3, 3]
-    space.plot(*path.T, color=LINE_COLORS[0], linewidth=1.8, label="camera, to its end")
+    blue: Look = {"color": LINE_COLORS[0]}
+    space.plot(*path.T, linewidth=1.8, label="camera, to its end", **blue)
     # four views evenly over the frames, without start and end
     for k in np.unique(np.linspace(0, len(cameras) - 1, 6).astype(int))[1:-1]:
-        space.plot(
-            *_pyramid(cameras[k], 0.6 * size), color=LINE_COLORS[0], linewidth=0.7, alpha=0.45
-        )
+        space.plot(*_pyramid(cameras[k], 0.6 * size), linewidth=0.7, alpha=0.45, **blue)
     space.plot(*_pyramid(cameras[0], size), color=INK, linewidth=1.0, label="start")
-    space.plot(*_pyramid(cameras[-1], size), color=LINE_COLORS[0], linewidth=1.4)
+    space.plot(*_pyramid(cameras[-1], size), linewidth=1.4, **blue)
     if goal is not None:
-        space.plot(
-            *_pyramid(goal, 1.25 * size),
-            color=GOAL,
-            linewidth=1.1,
-            linestyle=(0, (4, 2)),
-            label="goal",
-        )
-    _draw_target(space, targets, tracks.setting.points, size)
+        dashed: Look = {"linewidth": 1.1, "linestyle": (0, (4, 2)), "label": "goal"}
+        space.plot(*_pyramid(goal, 1.25 * size), color=GOAL, **dashed)
+    _draw_target(space, targets, _landmarks(tracks), size)
     chart.fit(1.9, 4.2)
     return chart
 
 
-def _draw_target(space: Space, targets: Array, points: Array | None, size: float) -> None:
-    """Path of a moving target, and at its last pose the axes and the markers of the target."""
+def _draw_target(space: Space, targets: Array, markers: Array, size: float) -> None:
+    """Path of a moving target, and at its last pose its axes and its markers (N, 3)."""
     if len(targets) == 0:
         return
-    if np.ptp(targets[:, :3, 3], axis=0).max() > 1e-6:
-        space.plot(*targets[:, :3, 3].T, color=INK, linewidth=1.0, linestyle=":", label="target")
+    path = targets[:, :3, 3]
+    if _moves(path, 1e-6):
+        space.plot(*path.T, color=INK, linewidth=1.0, linestyle=":", label="target")
     T = targets[-1]
     for axis, color in enumerate(AXIS_COLORS):
         tip = T[:3, 3] + 0.7 * size * T[:3, axis]
         space.plot(*np.stack([T[:3, 3], tip]).T, color=color, linewidth=1.2)
-    if points is None:
-        return
-    p = transform(T, points)
-    for place, color in zip(p, marker_colors(len(p)), strict=True):
-        space.plot(
-            *place[:, None],
-            color=color,
-            fill=color,
-            marker="o",
-            markersize=5,
-            linewidth=0,
-            label="markers",
-        )
+    for place, color in zip(markers, marker_colors(len(markers)), strict=True):
+        space.plot(*place[:, None], **_disc(color), markersize=5, label="markers")
 
 
 def _pyramid(T: Array, size: float) -> Array:
@@ -437,14 +408,9 @@ def ray_at(theta: ArrayLike, phi: ArrayLike) -> Array:
 
 def towards_viewer(axes: Axes3D | Space) -> Array:
     """Unit vector (3,) in camera coordinates from the centre towards the viewer."""
-    elevation, azimuth = np.radians(axes.elev), np.radians(axes.azim)
-    return np.array(
-        [
-            np.cos(elevation) * np.cos(azimuth),
-            -np.sin(elevation),
-            np.cos(elevation) * np.sin(azimuth),
-        ]
-    )
+    elevation, azimuth = np.radians([axes.elev, axes.azim])
+    level = np.cos(elevation)
+    return np.array([level * np.cos(azimuth), -np.sin(elevation), level * np.sin(azimuth)])
 
 
 def draw_curve(
@@ -462,9 +428,8 @@ def draw_net(axes: Axes3D | Space, reach: float, step: float, hide_back: bool = 
     far side paler or hidden.
     """
     line = np.linspace(0, 2 * np.pi, 121)
-    lines = [
-        ray_at(theta, line) for theta in np.arange(step, min(reach, np.pi - 1e-6) + 1e-6, step)
-    ]
+    colatitudes = np.arange(step, min(reach, np.pi - 1e-6) + 1e-6, step)
+    lines = [ray_at(theta, line) for theta in colatitudes]
     lines += [ray_at(np.linspace(0, reach, 61), phi) for phi in np.arange(12) * np.pi / 6]
     for p in lines:
         draw_curve(axes, p, hide_back=hide_back, color=RULE, linewidth=0.6)
@@ -473,9 +438,8 @@ def draw_net(axes: Axes3D | Space, reach: float, step: float, hide_back: bool = 
 def draw_axes(axes: Axes3D | Space, length: float, start: float = 0.0) -> None:
     """The optical axis as a dashed line of this length from z = `start`, labelled."""
     tip = np.array([0, 0, start + length])
-    axes.plot(
-        *drawn(np.stack([[0, 0, start], tip])), color=INK, linewidth=1.3, linestyle=(0, (4, 2))
-    )
+    line = drawn(np.stack([[0, 0, start], tip]))
+    axes.plot(*line, color=INK, linewidth=1.3, linestyle=(0, (4, 2)))
     _letter(axes, tip * 1.06, "z", INK)
 
 
@@ -484,9 +448,8 @@ def draw_cross_axes(axes: Axes3D | Space, at: Array, length: float, start: float
     colours, labelled.
     """
     for direction, name, color in zip(np.eye(3), "xy", AXIS_COLORS, strict=False):
-        axes.plot(
-            *drawn(at + np.outer([start, start + length], direction)), color=color, linewidth=1.3
-        )
+        line = drawn(at + np.outer([start, start + length], direction))
+        axes.plot(*line, color=color, linewidth=1.3)
         _letter(axes, at + (start + 1.3 * length) * direction, name, color)
 
 
@@ -500,7 +463,6 @@ def _letter(axes: Any, at: Array, letter: str, color: str) -> None:
 #
 # Lines and marks are those of the figure in the image.
 PI = math.pi
-SUFFIXES = ("", "_true", "_goal")
 RINGS_DEG = {30: 10, 60: 15, 100: 20, 180: 30}
 """Colatitude up to which the sphere is drawn, the smallest that holds all markers, and the spacing
 of its circles [deg].
@@ -531,8 +493,9 @@ def _plane(tracks: LogArrays, feature: Polar | Spherical, label: str) -> Chart |
     measured, true, goal = (way * in_pi for way in ways)
     draw_trails(panel, measured, true, goal, tracks.names)
     # from zero, so that what hardly varies does not fill the height
-    panel.labels, panel.lowest = ("φ [rad]", label), 0
-    panel.in_words = _in_pi, _in_pi if isinstance(feature, Spherical) else None
+    panel.labels = ("φ [rad]", label)
+    panel.lowest = 0
+    panel.in_words = (_in_pi, _in_pi if isinstance(feature, Spherical) else None)
     return chart
 
 
@@ -540,7 +503,8 @@ def coordinates(tracks: LogArrays, feature: Polar | Spherical, suffix: str) -> A
     """The feature's coordinates of each marker, phi first, (T, N, 2) [rad, and 1 or rad]; suffix:
     "" (measured), `_true` or `_goal`.
     """
-    camera, uv = tracks.setting.camera, tracks.pixels(suffix)
+    camera = tracks.setting.camera
+    uv = tracks.pixels(suffix)
     if camera is None:
         return np.full(uv.shape, np.nan)
     seen = camera.normalise(uv) if isinstance(feature, Polar) else camera.ray(uv)
@@ -567,7 +531,8 @@ def turns_joined(measured: Array, true: Array, goal: Array) -> None:
 
 def _unwrapped(phi: Array) -> Array:
     """Angles (T,) with steps of at most pi between consecutive known values; NaN stays."""
-    phi, known = phi.copy(), np.isfinite(phi)
+    phi = phi.copy()
+    known = np.isfinite(phi)
     phi[known] = np.unwrap(phi[known])
     return phi
 
@@ -580,11 +545,9 @@ def _whole_turns(difference: Array) -> float:
 
 def _in_pi(value: float) -> str:
     text = f"{value:.4g}".replace("-", "\N{MINUS SIGN}")
-    return (
-        text
-        if float(value) == 0
-        else {"1": "π", "\N{MINUS SIGN}1": "\N{MINUS SIGN}π"}.get(text, f"{text}π")
-    )
+    if value == 0:
+        return text
+    return text.removesuffix("1") + "π" if text in ("1", "\N{MINUS SIGN}1") else f"{text}π"
 
 
 def on_sphere(tracks: LogArrays) -> Chart | None:
@@ -600,16 +563,7 @@ def on_sphere(tracks: LogArrays) -> Chart | None:
     if len(shown) == 0:
         return None
     chart = Chart()
-    # the part of the sphere that the rays need, seen from ahead and from the side on which they lie
-    farthest = math.degrees(math.acos(np.clip(shown[:, 2].min(), -1, 1)))
-    reach_deg = next(reach for reach in RINGS_DEG if reach >= farthest or reach == 180)
-    reach, side = math.radians(reach_deg), math.sin(math.radians(min(reach_deg, 90)))
-    elev, azim = (24, 52) if reach > PI / 2 else (16, 68)
-    space = Space(chart.panels[0], elev, azim if shown[:, 0].mean() >= 0 else 180 - azim)
-    draw_net(space, reach, math.radians(RINGS_DEG[reach_deg]))
-    draw_axes(space, 0.4 * side, start=1.0)
-    draw_cross_axes(space, np.array([0, 0, 1.0]), 0.25 * side)
-    space.panel.title = f"circles every {RINGS_DEG[reach_deg]} deg from the axis"
+    space = _sphere(chart.panels[0], shown)
     for i, color in enumerate(marker_colors(tracks.markers)):
         draw_curve(space, true[:, i], color=color, **BAND)
         draw_curve(space, measured[:, i], color=color, **LINE)
@@ -618,3 +572,20 @@ def on_sphere(tracks: LogArrays) -> Chart | None:
     trail_keys(space.panel)
     chart.fit(1.9, 3.6)
     return chart
+
+
+def _sphere(panel: ChartPanel, rays: Array) -> Space:
+    """The part of the unit sphere that rays (N, 3) need, with its axes, seen from ahead and from
+    the side on which they lie.
+    """
+    farthest = math.degrees(math.acos(np.clip(rays[:, 2].min(), -1, 1)))
+    reach_deg = next(reach for reach in RINGS_DEG if reach >= farthest or reach == 180)
+    reach = math.radians(reach_deg)
+    side = math.sin(math.radians(min(reach_deg, 90)))
+    elev, azim = (24, 52) if reach_deg > 90 else (16, 68)
+    space = Space(panel, elev, azim if rays[:, 0].mean() >= 0 else 180 - azim)
+    draw_net(space, reach, math.radians(RINGS_DEG[reach_deg]))
+    draw_axes(space, 0.4 * side, start=1.0)
+    draw_cross_axes(space, np.array([0, 0, 1.0]), 0.25 * side)
+    panel.title = f"circles every {RINGS_DEG[reach_deg]} deg from the axis"
+    return space

@@ -6,8 +6,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -35,11 +36,12 @@ def ideal_bicycle_path(scenario: Scenario) -> Array | None:
     from vstestbed.laws import PoseController
     from vstestbed.robots.car import BicycleLimits, Car, drive
 
-    law, robot, goal = scenario.law, scenario.robot, scenario.goal_view.place
+    law = scenario.law
+    robot = scenario.robot
+    goal = scenario.goal_view.place
     # the ideal bicycle is the ideal car: no other robot has its wheelbase and steering
     if not (isinstance(law, PoseController) and isinstance(robot, Car)) or goal is None:
         return None
-    limits = BicycleLimits(robot.limits.speed_mps, robot.limits.steering_rad)
     state = law.init(scenario.goal_view)
 
     def command(place: Array) -> tuple[Array, Array]:
@@ -47,16 +49,21 @@ def ideal_bicycle_path(scenario: Scenario) -> Array | None:
         state, v, w = law.toward(state, place, goal)
         return np.array(v), np.array(w)
 
-    wheelbase, duration_s = robot.parameters.wheelbase_m, scenario.stop.duration_s
     way = drive(
-        command, robot.configuration(), wheelbase, limits, duration_s, scenario.camera.period
+        command,
+        robot.configuration(),
+        robot.parameters.wheelbase_m,
+        BicycleLimits(robot.limits.speed_mps, robot.limits.steering_rad),
+        scenario.stop.duration_s,
+        scenario.camera.period,
     ).place[:, :2]
     return way[: int(np.argmin(np.linalg.norm(way - goal[:2], axis=1))) + 1]
 
 
 def largest_deviation(path: Array, reference: Array) -> float:
     """Largest distance [m] of the points (T, 2) of a path from a polyline (K, 2)."""
-    a, d = reference[:-1], np.diff(reference, axis=0)
+    a = reference[:-1]
+    d = np.diff(reference, axis=0)
     to = path[:, None] - a
     # foot point on each segment, as a share of its length; 1e-12 m^2: repeated points
     share = np.clip((to * d).sum(axis=-1) / np.maximum((d * d).sum(axis=-1), 1e-12), 0, 1)
@@ -72,9 +79,11 @@ def visible_region(
     Gives x, y [m] of a grid's points and 1 where a point is in the image, else 0; shape (RINGS,
     DIRECTIONS) each.
     """
-    r, a = np.linspace(1e-3, reach, RINGS)[:, None], np.linspace(0, 2 * np.pi, DIRECTIONS)
+    r = np.linspace(1e-3, reach, RINGS)[:, None]
+    a = np.linspace(0, 2 * np.pi, DIRECTIONS)
     foot = T_world_camera[:3, 3]
-    across, along = r * np.cos(a), r * np.sin(a)
+    across = r * np.cos(a)
+    along = r * np.sin(a)
     step = np.stack([across, along, np.full_like(across, height - foot[2])], axis=-1).reshape(-1, 3)
     # not `@`: over so many rows BLAS starts threads, which wait for each other longer than the
     # product takes
@@ -94,9 +103,8 @@ class MeasuredError(NamedTuple):
     column: str = "error_px"  # of the log
     label: str = "RMS error [px]"  # of its axis, with the unit
     unit: str = "px"  # as a threshold has it
-    threshold: float | None = (
-        None  # under it the goal is reached; None where it decides nothing, or is unknown
-    )
+    # under it the goal is reached; None where it decides nothing, or is unknown
+    threshold: float | None = None
 
 
 @dataclass(frozen=True)
@@ -118,12 +126,10 @@ class Setting:
     goals: Array = field(default_factory=lambda: np.empty((0, 3)))
     # to be driven, by it or by what it follows, shape (M, 2) [m]
     reference_path: Array = field(default_factory=lambda: np.empty((0, 2)))
-    expected_path: Array | None = (
-        None  # path of an ideal vehicle from the same start, shape (K, 2) [m]
-    )
-    band_m: float | None = (
-        None  # band_m, settle_s: of a continuing task: error tolerance [m] after this time [s]
-    )
+    # path of an ideal vehicle from the same start, shape (K, 2) [m]
+    expected_path: Array | None = None
+    # band_m, settle_s: of a continuing task: error tolerance [m] after this time [s]
+    band_m: float | None = None
     settle_s: float = 0.0
     names: tuple[str, ...] = ()  # of the markers; () where they have none
     # the fields in which the scenario differs from the bundled one of its name, `("law.gain=2",)`
@@ -132,14 +138,12 @@ class Setting:
     # words for what the law does in a frame; () for a law without modes
     modes: tuple[str, ...] = ()
     changing: bool = False  # whether a row of the log may come to show another point
-    threshold_grey: float | None = (
-        None  # RMS difference of picture and goal picture that counts as converged [grey levels]
-    )
+    # RMS difference of picture and goal picture that counts as converged [grey levels]
+    threshold_grey: float | None = None
     own: tuple[str, ...] = ()  # columns of the law's own, and of the effects'
     slides: tuple[str, ...] = ()  # joints whose positions are in metres
-    told_speeds: bool = (
-        True  # whether the joints' inputs are speeds: of inner loops they are torques
-    )
+    # whether the joints' inputs are speeds: of inner loops they are torques
+    told_speeds: bool = True
     # further cameras' width and height [px]
     cameras: Mapping[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])
 
@@ -151,8 +155,9 @@ class Setting:
         grey = MeasuredError(
             "error_grey", "RMS difference [grey levels]", "grey levels", self.threshold_grey
         )
-        both = MeasuredError(threshold=self.threshold_px), grey
-        return both if self.threshold_px is not None or self.threshold_grey is None else both[::-1]
+        markers = MeasuredError(threshold=self.threshold_px)
+        grey_decides = self.threshold_px is None and self.threshold_grey is not None
+        return (grey, markers) if grey_decides else (markers, grey)
 
     @classmethod
     def of(cls, scenario: Scenario) -> Setting:
@@ -162,46 +167,60 @@ class Setting:
         from vstestbed.report.recorded_run import unit_of_joint
         from vstestbed.scenario.dump import changes  # here: the figures themselves need no scenario
 
-        goal, converged, planar = (
-            scenario.goal,
-            scenario.stop.converged,
-            scenario.robot.base == "planar",
-        )
+        goal = scenario.goal
+        law = scenario.law
         view = getattr(goal, "T_camera_target", None)
-        goals = [view.place for view in scenario.goal_views if view.place is not None]
-        return cls(
+        joints = [name for name in scenario.robot.joints if unit_of_joint(name, scenario) == "m"]
+        effects = chain.from_iterable(effect.columns for effect in scenario.robot.acting)
+        found = cls(
             told_speeds=scenario.robot.onboard is None,
-            slides=tuple(
-                name for name in scenario.robot.joints if unit_of_joint(name, scenario) == "m"
-            ),
+            slides=tuple(joints),
             cameras={
                 name: (eye.camera.width, eye.camera.height) for name, eye in scenario.eyes.items()
             },
             width=scenario.camera.width,
             height=scenario.camera.height,
-            threshold_px=None if goal.continuing else converged.error_px,
-            threshold_grey=None if goal.continuing else converged.error_grey,
             points=scenario.target.places if len(scenario.target.places) else None,
             names=scenario.target.names,
             T_camera_target=getattr(view, "T", view),
             description=scenario.description,
-            feature=scenario.law.feature,
+            feature=law.feature,
             camera=scenario.camera,
-            planar=planar,
-            goals=np.array(goals if planar else []).reshape(-1, 3),
-            reference_path=scenario.target.floor_path[::5] if planar else np.empty((0, 2)),
-            expected_path=ideal_bicycle_path(scenario) if planar else None,
             band_m=goal.tolerance_m,
             settle_s=goal.settle_s,
             changed=changes(scenario),
             outlined=scenario.target.outlined,
-            modes=scenario.law.modes,
+            modes=law.modes,
             changing=scenario.detector.changing,
-            own=(
-                *scenario.law.columns,
-                *(name for effect in scenario.robot.acting for name in effect.columns),
-            ),
+            own=(*law.columns, *effects),
         )
+        if not goal.continuing:
+            limits = scenario.stop.converged
+            found = replace(found, threshold_px=limits.error_px, threshold_grey=limits.error_grey)
+        if scenario.robot.base != "planar":
+            return found
+        goals = [view.place for view in scenario.goal_views if view.place is not None]
+        return replace(
+            found,
+            planar=True,
+            goals=np.array(goals).reshape(-1, 3),
+            reference_path=scenario.target.floor_path[::5],
+            expected_path=ideal_bicycle_path(scenario),
+        )
+
+
+def _shown_rows(table: Array) -> NDArray[np.intp]:
+    """Which rows of a log (T, k) stand for all: see `LogArrays.of`."""
+    rows = np.arange(len(table))
+    chosen = [np.linspace(0, rows[-1], MOST_ROWS // 2).astype(int)]
+    for part in np.array_split(rows, max(1, MOST_ROWS // (4 * table.shape[1]))):
+        values = table[part]
+        known = np.isfinite(values)  # an infinity cannot be drawn
+        least = np.where(known, values, np.inf).argmin(axis=0)
+        largest = np.where(known, values, -np.inf).argmax(axis=0)
+        has_values = known.any(axis=0)
+        chosen += [part[least[has_values]], part[largest[has_values]]]
+    return np.unique(np.concatenate(chosen))
 
 
 @dataclass(frozen=True)
@@ -221,19 +240,10 @@ class LogArrays:
         """
         if isinstance(log, pl.DataFrame):
             return cls(log, setting)
-        n = len(log)
-        if n > MOST_ROWS:
-            chosen = [np.linspace(0, n - 1, MOST_ROWS // 2).astype(int)]
-            for part in np.array_split(np.arange(n), max(1, MOST_ROWS // (4 * len(log.columns)))):
-                table = log.table[part]
-                known = np.isfinite(table)  # an infinity cannot be drawn
-                extremes = (
-                    np.where(known, table, np.inf).argmin(axis=0),
-                    np.where(known, table, -np.inf).argmax(axis=0),
-                )
-                chosen += [part[rows[known.any(axis=0)]] for rows in extremes]
-            log = Log(log.columns, log.table[np.unique(np.concatenate(chosen))])
-        return cls(pl.DataFrame(log.by_name()), setting)
+        table = log.table
+        if len(table) > MOST_ROWS:
+            table = table[_shown_rows(table)]
+        return cls(pl.DataFrame(Log(log.columns, table).by_name()), setting)
 
     def column(self, name: str) -> Array:
         """One column as floats, shape (T,)."""
@@ -248,18 +258,14 @@ class LogArrays:
 
     def numbered(self, stem: str) -> Array:
         """The columns `stem_0 .. stem_{N-1}`, one per marker, shape (T, N)."""
-        n = self.markers
-        return (
-            self.columns(*(f"{stem}_{i}" for i in range(n))) if n else np.empty((len(self.log), 0))
-        )
+        names = [f"{stem}_{i}" for i in range(self.markers)]
+        return self.columns(*names) if names else np.empty((len(self.log), 0))
 
     def pixels(self, suffix: str = "", before: str = "") -> Array:
         """Marker pixels (T, N, 2) [px]: measured, or with the suffix `_true` or `_goal`; of a
         further camera with its name and _ before.
         """
-        return np.stack(
-            [self.numbered(f"{before}u{suffix}"), self.numbered(f"{before}v{suffix}")], axis=-1
-        )
+        return np.stack([self.numbered(f"{before}{axis}{suffix}") for axis in "uv"], axis=-1)
 
     def named(self, stem: str) -> list[str]:
         """Names after `stem_` in the column names, in the log's order: names of joints or
@@ -318,7 +324,6 @@ class LogArrays:
         """Start and end times of the intervals without target [s]; an interval lasts until the
         first frame with target.
         """
-        # rising and falling edges alternate, since False is padded at both ends
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], self.lost, [False]]).astype(int)))
+        edges = np.flatnonzero(np.diff(self.lost, prepend=False, append=False))
         last = len(self.t) - 1
         return [(float(self.t[a]), float(self.t[min(b, last)])) for a, b in edges.reshape(-1, 2)]

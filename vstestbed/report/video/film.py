@@ -151,7 +151,9 @@ class Pictures:
         size: tuple[int, int],
         strip: int | None = None,
     ):
-        self._scenario, self._camera, self._replay = scenario, camera, replay
+        self._scenario = scenario
+        self._camera = camera
+        self._replay = replay
         eyes = scenario.eyes if camera == "eye" else {}
         self._below = size[1] > size[0] and len(eyes) > 0
         self._size, *others = panels(
@@ -163,8 +165,7 @@ class Pictures:
         self._alone = OtherPanel(scenario.eyes[camera], size) if camera in scenario.eyes else None
         size = self._size
         self.strip = strip_height(size[1]) if strip is None else strip
-        law, name = scenario.law.kind, scenario.name
-        self._title = f"{name} \u00b7 {law}" if name else law
+        self._title = " \u00b7 ".join(filter(None, (scenario.name, scenario.law.kind)))
         self._overlay = overlay_of(scenario, size)
         self._scale = np.array(size) / (scenario.camera.width, scenario.camera.height)
         self._residual = Residual(scenario, replay) if "image" in scenario.law.inputs else None
@@ -180,39 +181,39 @@ class Pictures:
 
     def picture(self, frame: FilmFrame) -> Image:
         """The picture of one frame (H, W, 3) with its line of numbers."""
-        values = dict(zip(self._scenario.own_columns, frame.own.tolist(), strict=True)) | {
-            "error_px": frame.error_px
-        }
+        values = dict(zip(self._scenario.own_columns, frame.own.tolist(), strict=True))
+        values["error_px"] = frame.error_px
         image = self._drawn(frame, int(values.get("view", 0)))
-        return captioned(
-            image, self._title, self.strip, t=frame.t, error=error_in_words(self._scenario, values)
-        )
+        error = error_in_words(self._scenario, values)
+        return captioned(image, self._title, self.strip, t=frame.t, error=error)
 
     def _drawn(self, frame: FilmFrame, goal: int) -> Image:
         if self._camera == "eye":
-            taken = self._taken(frame)
-            seen = self._rendered("eye", frame) if taken is None else taken
-            # a copy: the detector and other films use it
-            image = np.array(scaled(seen, self._size))
-            uv, goal_uv = ((uv + 0.5) * self._scale - 0.5 for uv in (frame.uv, frame.goal_uv))
-            self._overlay.draw(image, uv, goal_uv, frame.lost)
-            if self._residual is not None:
-                self._residual.put(image, seen, frame, goal)
-            if self._others:
-                parts = [image, *(other.drawn(frame, self._replay) for other in self._others)]
-                image = np.concatenate(parts, axis=0 if self._below else 1)
-            return image
+            return self._of_eye(frame, goal)
         if self._alone is not None:
             return self._alone.drawn(frame, self._replay)
-        if self._outside is None:
-            return self._rendered(self._camera, frame)
+        if self._outside is not None:
+            return self._of_outside(self._outside, frame, goal)
+        return self._rendered(self._camera, frame)
+
+    def _of_eye(self, frame: FilmFrame, goal: int) -> Image:
+        taken = self._taken(frame)
+        seen = self._rendered("eye", frame) if taken is None else taken
+        # a copy: the detector and other films use it
+        image = np.array(scaled(seen, self._size))
+        uv, goal_uv = ((uv + 0.5) * self._scale - 0.5 for uv in (frame.uv, frame.goal_uv))
+        self._overlay.draw(image, uv, goal_uv, frame.lost)
+        if self._residual is not None:
+            self._residual.put(image, seen, frame, goal)
+        parts = [image, *(other.drawn(frame, self._replay) for other in self._others)]
+        return np.concatenate(parts, axis=0 if self._below else 1) if self._others else image
+
+    def _of_outside(self, outside: Outside, frame: FilmFrame, goal: int) -> Image:
         T = self._scenario.goal_pose_at(frame.t, goal)
-        image = self._outside.picture(
-            frame, None if T is None else frame.T_world_target @ inverse(T)
-        )
-        self._outside.put_inset(
-            image, frame, self._taken(frame), lambda: self._rendered("eye", frame)
-        )
+        T_world_goal = None if T is None else frame.T_world_target @ inverse(T)
+        image = outside.picture(frame, T_world_goal)
+        taken = self._taken(frame)
+        outside.put_inset(image, frame, taken, lambda: self._rendered("eye", frame))
         return image
 
     def _taken(self, frame: FilmFrame) -> Image | None:
@@ -284,22 +285,16 @@ class Film:
     ):
         eye = scenario.camera
         share = quality.share(eye.width, eye.height)
-        if size is None and camera == "eye":
-            height = round(share * eye.height)
-            others = [
-                round(height * other.camera.width / other.camera.height)
-                for other in scenario.eyes.values()
-            ]
-            self._pictures = Pictures(
-                scenario, camera, replay, (round(share * eye.width) + sum(others), height)
-            )
-        elif size is None and camera in scenario.eyes:
-            other = scenario.eyes[camera].camera
-            self._pictures = Pictures(
-                scenario, camera, replay, (round(share * other.width), round(share * other.height))
-            )
-        else:
+        if size is not None or camera not in ("eye", *scenario.eyes):
             self._pictures = Pictures.within(scenario, camera, replay, size or quality.size)
+        else:
+            own = eye if camera == "eye" else scenario.eyes[camera].camera
+            width = round(share * own.width)
+            height = round(share * own.height)
+            if camera == "eye":  # the pictures of the further cameras stand beside
+                for other in scenario.eyes.values():
+                    width += round(height * other.camera.width / other.camera.height)
+            self._pictures = Pictures(scenario, camera, replay, (width, height))
         every = quality.every(eye.rate_hz)
         self._pace = Pace(eye.rate_hz, every)
         self._rate_hz = eye.rate_hz / every
@@ -329,13 +324,9 @@ class Film:
     def end(self, outcome: Outcome, reason: str) -> None:
         """Let the last picture stand for a second: how the run ended, and why."""
         if self._image is not None:
-            draw_ending(
-                self._image,
-                self._pictures.strip,
-                outcome.value.capitalize(),
-                reason,
-                GOOD if outcome.success else ALARM,
-            )
+            words = outcome.value.capitalize()
+            color = GOOD if outcome.success else ALARM
+            draw_ending(self._image, self._pictures.strip, words, reason, color)
         self._hold(round(HOLD_S * self._rate_hz))
 
     def close(self) -> Path | None:
@@ -351,11 +342,10 @@ def error_in_words(scenario: Scenario, values: dict[str, float]) -> str:
     """The error of one frame by which the task is judged, in its own unit."""
     judged = in_a_frame(scenario.goal.judged, scenario.stop, values)
     value, unit = in_words_unit(judged.value, judged.unit)
-    return (
-        f"error {value:.{3 if unit.startswith('m') else 2}f} {unit}"
-        if math.isfinite(value)
-        else "error \u2013"
-    )
+    if not math.isfinite(value):
+        return "error \u2013"
+    digits = 3 if unit.startswith("m") else 2
+    return f"error {value:.{digits}f} {unit}"
 
 
 def ending_of(folder: Path) -> Verdict | None:
@@ -414,23 +404,30 @@ def rows_of(log: Log) -> Iterator[dict[str, float]]:
         yield dict(zip(log.columns, row.tolist(), strict=True))
 
 
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """What a film of a recorded run shows."""
+
+    camera: str  # by its name
+    view: FixedView | None = None  # of the camera `overview`; None: it follows the robot
+    size: tuple[int, int] | None = None  # see `Film`
+
+
 def film_log(
     scenario: Scenario,
     log: Log,
-    camera: str,
+    shot: Shot,
     path: Path,
     quality: Quality,
-    size: tuple[int, int] | None = None,
     ending: Verdict | None = None,
-    view: FixedView | None = None,
 ) -> Path | None:
     """Film a recorded run from any camera, without simulating; ending: its outcome, shown at the
-    end. view: of the camera `overview`.
+    end.
 
     ParameterError: no such camera. EnvironmentLackError: no OpenGL, no codec, no space.
     """
     pace = Pace(scenario.camera.rate_hz, quality.every(scenario.camera.rate_hz))
-    with open_films(scenario, {camera: path}, quality, size, view) as (film,):
+    with open_films(scenario, {shot.camera: path}, quality, shot.size, shot.view) as (film,):
         last = len(log)
         for number, row in enumerate(rows_of(log), start=1):
             if pace.due(row["t"]) or number == last:
@@ -444,12 +441,10 @@ def picture_of_the_end(scenario: Scenario, log: Log, path: Path, quality: Qualit
     """Write a PNG of the last frame of a recorded run, from outside. EnvironmentLackError: no
     OpenGL, no space.
     """
-    last = dict(zip(log.columns, log.table[-1].tolist(), strict=True))
+    last = FilmFrame.of_row(dict(zip(log.columns, log.table[-1].tolist(), strict=True)), scenario)
     with closing(replay_of(scenario, quality, quality.size)) as replay:
-        image = Pictures.within(scenario, "overview", replay, quality.size).picture(
-            FilmFrame.of_row(last, scenario)
-        )
-    write_whole(path, png_of(image))
+        pictures = Pictures.within(scenario, "overview", replay, quality.size)
+        write_whole(path, png_of(pictures.picture(last)))
 
 
 # Films a run while it goes on: what the loop hands over is drawn and encoded by a thread of its
@@ -509,11 +504,12 @@ class FilmThread:
             self._thread.join()
 
     def _hand_over(self, frame: Frame) -> None:
-        self._unshown, state = None, FilmFrame.of_frame(frame)
-        # a copy: the next frame's image may overwrite it, and the overlay is drawn into it
-        self._queue.put(
-            state if state.image is None else replace(state, image=np.array(state.image))
-        )
+        self._unshown = None
+        state = FilmFrame.of_frame(frame)
+        if state.image is not None:
+            # a copy: the next frame's image may overwrite it, and the overlay is drawn into it
+            state = replace(state, image=np.array(state.image))
+        self._queue.put(state)
 
     def _work(self) -> None:
         frames = iter(self._queue.get, None)

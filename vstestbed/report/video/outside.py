@@ -5,7 +5,7 @@ projected and drawn by OpenCV.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,29 +22,24 @@ if TYPE_CHECKING:
 
 __all__ = ["GOAL", "OWN", "Outside", "frustum_corners", "inset_share"]
 
-GOAL: Final[Color] = (110, 255, 170)
-OWN: Final[Color] = (255, 196, 64)
-AXES: Final[tuple[Color, ...]] = ((255, 70, 70), (70, 225, 90), (90, 150, 255))
-FRUSTUM: Final = 0.055  # Length of a frustum over the picture's width, at its place
-MOST_PLACES: Final = (
-    400  # Points of the trail of the camera: when there are more, every other one is dropped
-)
-AXIS: Final = (
-    0.045  # Length of an axis of the target's frame over the picture's width, at its place
-)
-INSET_S: Final = 0.2  # Time between two pictures of the servo camera in the inset [s]
-EDGE: Final = 2  # Width of the edge of the inset [px]
-DRAWN_FOR: Final = 360
+GOAL: Color = (110, 255, 170)
+OWN: Color = (255, 196, 64)
+AXES: tuple[Color, ...] = ((255, 70, 70), (70, 225, 90), (90, 150, 255))
+FRUSTUM = 0.055  # Length of a frustum over the picture's width, at its place
+# Points of the trail of the camera: when there are more, every other one is dropped
+MOST_PLACES = 400
+AXIS = 0.045  # Length of an axis of the target's frame over the picture's width, at its place
+INSET_S = 0.2  # Time between two pictures of the servo camera in the inset [s]
+EDGE = 2  # Width of the edge of the inset [px]
+DRAWN_FOR = 360
 """Height of a picture in which a plain line is a pixel wide [px]; in a lower one it is no thinner,
 and has no dark edge (as `SMALL`).
 """
-GHOST_FILL: Final = 0.25
-FOLDED: Final = np.array(
-    [[i, j, 1.0] for i, j in ((-0.6, -0.6), (0.6, -0.6), (0.6, 0.6), (-0.6, 0.6))]
-)
+GHOST_FILL = 0.25
+FOLDED = np.array([[i, j, 1.0] for i, j in ((-0.6, -0.6), (0.6, -0.6), (0.6, 0.6), (-0.6, 0.6))])
 """Corners of the pyramid that stands for the frustum of a lens that sees sideways."""
 # The edges of a pyramid as two polylines through its corners, the last of which is its top
-EDGES: Final = ([0, 1, 2, 3, 0, 4, 1], [2, 4, 3])
+EDGES = ([0, 1, 2, 3, 0, 4, 1], [2, 4, 3])
 
 
 class Outside:

@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,29 +51,29 @@ __all__ = [
 
 Color = tuple[int, int, int]
 
-INK: Final[Color] = (18, 20, 24)
-PAPER: Final[Color] = (245, 246, 248)
-MUTED: Final[Color] = (186, 192, 200)
-ALARM: Final[Color] = (200, 30, 45)
-GOOD: Final[Color] = (24, 122, 62)
-GOAL: Final[Color] = (72, 214, 255)
+INK: Color = (18, 20, 24)
+PAPER: Color = (245, 246, 248)
+MUTED: Color = (186, 192, 200)
+ALARM: Color = (200, 30, 45)
+GOOD: Color = (24, 122, 62)
+GOAL: Color = (72, 214, 255)
 """Of goals that have no colour of their own, and of a region's, which would not stand out from the
 region in its colour.
 """
-WAY: Final[Color] = (255, 255, 255)
-WAYS: Final = 8  # At most so many of the points of an outline have such a line
-HOLD_S: Final = 1  # How long the last picture of a film stays [s]
-SHIFT: Final = 4
-UNIT: Final = 1 << SHIFT  # OpenCV draws on a grid of 1/16 px
+WAY: Color = (255, 255, 255)
+WAYS = 8  # At most so many of the points of an outline have such a line
+HOLD_S = 1  # How long the last picture of a film stays [s]
+SHIFT = 4
+UNIT = 1 << SHIFT  # OpenCV draws on a grid of 1/16 px
 # Height up to which an image, as an inset, has symbols without a dark edge, which would hide their
 # colours [px]
-SMALL: Final = 240
-OPEN: Final = 0.6  # Share of a cross that is open in its middle, where the marker is
-LEAST: Final = 5.0, 11.0
+SMALL = 240
+OPEN = 0.6  # Share of a cross that is open in its middle, where the marker is
+LEAST = 5.0, 11.0
 """Least size of a symbol in an inset, and in a larger image, whose thicker lines would otherwise
 close over the marker [px].
 """
-MOST_POINTS: Final = 512  # of a trail, so that each frame takes as long to draw
+MOST_POINTS = 512  # of a trail, so that each frame takes as long to draw
 
 
 class Trail:
@@ -230,14 +229,14 @@ def _bytes(colors: Array) -> list[Color]:
     return [(int(r), int(g), int(b)) for r, g, b in np.rint(np.asarray(colors) * 255)]
 
 
-_CROSS: Final = np.array(
+_CROSS = np.array(
     [[[i, j], [OPEN * i, OPEN * j]] for i, j in ((-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0))]
 )
-_DIAMOND: Final = np.array([[[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]]])
+_DIAMOND = np.array([[[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]]])
 
 # OpenCV's own proportional font: no system font is used, so that films are the same bytes
 # everywhere
-_FONT: Final = cv2.FontFace("sans")
+_FONT = cv2.FontFace("sans")
 
 
 def captioned(image: Image, title: str, strip: int, *, t: float, error: str) -> Image:
@@ -359,9 +358,8 @@ class FilmFrame:
     goal_uv: Array
     own: Array  # values of the robot's and the task's own columns
     image: Image | None = None  # the servo camera's image, if it was rendered already
-    goal_image: Image | None = (
-        None  # the picture taken at the goal, if law or detector compare with one
-    )
+    # the picture taken at the goal, if law or detector compare with one
+    goal_image: Image | None = None
     # what further cameras showed last, by name
     cameras: Mapping[str, OtherPicture] = field(default_factory=dict[str, "OtherPicture"])
 
@@ -440,12 +438,10 @@ def _markers(row: dict[str, float], which: str, markers: int, before: str = "") 
 
 # The difference of picture and goal picture, which a law of grey levels sees, as an inset of the
 # camera's film.
-SHARE: Final = 1 / 3  # Width of the inset over that of the film
-WORDS: Final = "picture \u2212 goal"  # What the inset is called
-EDGE: Final = 2  # Width of its edge [px]
-ZERO: Final = (
-    128  # Grey of a pixel without a difference; a difference of d grey levels is ZERO + d/2
-)
+SHARE = 1 / 3  # Width of the inset over that of the film
+WORDS = "picture \u2212 goal"  # What the inset is called
+EDGE = 2  # Width of its edge [px]
+ZERO = 128  # Grey of a pixel without a difference; a difference of d grey levels is ZERO + d/2
 
 
 class Residual:
@@ -516,7 +512,7 @@ def _grey(image: Image) -> Image:
 
 
 # Overlay of matches: lines from natural features to where the goal's picture has them.
-MEASURED: Final[Color] = (255, 214, 64)
+MEASURED: Color = (255, 214, 64)
 
 
 class MatchOverlay(Overlay):

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from itertools import chain, zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 # Reads a film frame by frame as simulated time advances.
 
 # How much before its time a frame may be shown: the time base of a film is about 1/12800 s
-EARLY_S: Final = Fraction(1, 10_000)
+EARLY_S = Fraction(1, 10_000)
 
 
 class FrameReader:
@@ -99,15 +99,15 @@ def scaled(frame: VideoFrame, width: int, height: int) -> Image:
     return np.asarray(small.to_ndarray(), np.uint8)
 
 
-MOST: Final = 6
-WIDEST: Final = 1926  # [px], of all columns
-COLUMN: Final = 480  # [px]: its text still reads well, and its frame takes half the time of 640
-GAP: Final = 2  # [px]
-SHAPE: Final = 3 / 4  # height over width of a cell for which no run has a film
-FASTEST_HZ: Final = Fraction(50)
-DIMMED: Final = 0.6
-GREY: Final[Color] = (96, 100, 108)
-NEUTRAL: Final[Color] = (56, 64, 76)
+MOST = 6
+WIDEST = 1926  # [px], of all columns
+COLUMN = 480  # [px]: its text still reads well, and its frame takes half the time of 640
+GAP = 2  # [px]
+SHAPE = 3 / 4  # height over width of a cell for which no run has a film
+FASTEST_HZ = Fraction(50)
+DIMMED = 0.6
+GREY: Color = (96, 100, 108)
+NEUTRAL: Color = (56, 64, 76)
 
 Shown = list[tuple[FrameReader, Image]]  # Films with their places in the image
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,7 @@ __all__ = ["DATASET", "Image", "VideoWriter", "jpeg_of", "png_of"]
 Image = NDArray[np.uint8]
 
 ONE_THREAD = "threads=1:sync-lookahead=0:lookahead-threads=1"
-ENCODER: Final = {
+ENCODER = {
     "preset": "ultrafast",
     "crf": "20",
     "x264-params": f"subme=1:mbtree=1:rc-lookahead=5:{ONE_THREAD}",
@@ -40,9 +40,7 @@ its size; without the tree 2.3 times its size in that time.
 Without ONE_THREAD, beside the stream's own thread count, one film in a hundred has other bytes on a
 machine under load; with `threads=1` alone one in 450.
 """
-BT709: Final = (
-    1  # code of BT.709 in ISO/IEC 23091-2, the same for primaries, transfer curve and matrix
-)
+BT709 = 1  # code of BT.709 in ISO/IEC 23091-2, the same for primaries, transfer curve and matrix
 
 Coding = tuple[int, NDArray[np.float64], dict[str, str]]
 """How a video codes its pictures: code of the matrix between colours and (Y, Cb, Cr) in ISO/IEC
@@ -60,8 +58,8 @@ def _to_yuv(luma: tuple[float, float, float]) -> NDArray[np.float64]:
 
 
 # For players: BT.709, item 3.2
-FILM: Final[Coding] = (BT709, _to_yuv((0.2126, 0.7152, 0.0722)), ENCODER)
-DATASET: Final[Coding] = 6, _to_yuv((0.299, 0.587, 0.114)), ENCODER | {"g": "2"}
+FILM: Coding = (BT709, _to_yuv((0.2126, 0.7152, 0.0722)), ENCODER)
+DATASET: Coding = 6, _to_yuv((0.299, 0.587, 0.114)), ENCODER | {"g": "2"}
 """For learners, which read frames in any order (every other one can be decoded by itself), and with
 libraries that take any video as coded by BT.601 (its item 2.5.1).
 """

@@ -198,25 +198,23 @@ def finish(
     to draw the figures for a paper as well. Raises OutputError, EnvironmentLackError: a file cannot
     be written.
     """
-    from vstestbed.report.comparison.page import write_comparison_report
+    from vstestbed.report.comparison.page import Drawing, write_comparison_report
 
     if table.is_empty():
         return
-    axes = comparison.varied
+    drawing = Drawing(call, paper)
     if comparison.tasks:
         from vstestbed.report.comparison.tasks import write_task_report
 
         stage("writing the report")
-        write_task_report(
-            folder, results_of(table, comparison), command_of(comparison), call, paper
-        )
+        write_task_report(folder, results_of(table, comparison), command_of(comparison), drawing)
         return
     stage("joining the films")
     plugins = (*comparison.plugins, *moved_plugins(folder, comparison.plugins))
-    film = call(_film, folder, table, axes)  # first: it takes longest
+    film = call(_film, folder, table, comparison.varied)  # first: it takes longest
     stage("writing the report")
     write_comparison_report(
-        folder, results_of(table, comparison), command_of(comparison), film, plugins, call, paper
+        folder, results_of(table, comparison), command_of(comparison), film, plugins, drawing
     )
 
 
