@@ -238,14 +238,11 @@ def measure(scenario: Scenario, repeats: int = 5) -> Bench:
     first = recordings[0]
     frames = len(first.table)
     # without films; `other` is what no part accounts for
-    parts = {
-        part: statistics.median(r.time_ms[part] / frames for r in recordings)
-        for part in first.time_ms
-        if part != "video"
-    }
+    named = [part for part in first.time_ms if part != "video"]
+    parts = {part: statistics.median(r.time_ms[part] / frames for r in recordings) for part in named}
     whole = statistics.median(1e3 * r.loop_s / frames for r in recordings)
-    physics = statistics.median(1e3 * floor[0] / frames for _, floor in pairs)
-    render = statistics.median(1e3 * floor[1] / frames for _, floor in pairs)
+    floors = np.array([floor for _, floor in pairs])
+    physics, render = (np.median(floors, axis=0) * 1e3 / frames).tolist()
     return Bench(
         scenario=scenario.name,
         frames=frames,
