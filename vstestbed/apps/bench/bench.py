@@ -239,7 +239,9 @@ def measure(scenario: Scenario, repeats: int = 5) -> Bench:
     frames = len(first.table)
     # without films; `other` is what no part accounts for
     named = [part for part in first.time_ms if part != "video"]
-    parts = {part: statistics.median(r.time_ms[part] / frames for r in recordings) for part in named}
+    parts = {
+        part: statistics.median(r.time_ms[part] / frames for r in recordings) for part in named
+    }
     whole = statistics.median(1e3 * r.loop_s / frames for r in recordings)
     floors = np.array([floor for _, floor in pairs])
     physics, render = (np.median(floors, axis=0) * 1e3 / frames).tolist()

@@ -530,6 +530,15 @@ class SuiteEntry:
         return found
 
 
+def _must_name_tasks(laws: Mapping[str, SuiteLaw], suite: TaskSuite) -> None:
+    """Refuse a law's block for a task that the suite has not."""
+    for name, law in laws.items():
+        for task in law.tasks:
+            if task not in suite.tasks:
+                words = f"must be tasks of the suite; {nearest(task, suite.tasks)}"
+                raise ParameterError(f"{name}: tasks", words, task)
+
+
 def opened(
     file: str | None,
     name: str = NAME,
@@ -554,13 +563,7 @@ def opened(
         laws = {own: law} if alone else laws | {own: law}
     elif alone:
         raise ParameterError.needs("--alone", "a law of your own", why="LAW_FILE")
-    if unknown := [
-        (law, task) for law, one in laws.items() for task in one.tasks if task not in suite.tasks
-    ]:
-        law, task = unknown[0]
-        raise ParameterError(
-            f"{law}: tasks", f"must be tasks of the suite; {nearest(task, suite.tasks)}", task
-        )
+    _must_name_tasks(laws, suite)
     if not apart:
         return SuiteEntry(suite, path, laws, plugins, quick, word, file)
     LAWS.add(Isolated)
