@@ -344,6 +344,21 @@ def program(*names: str) -> typer.Typer:
     return app
 
 
+def _overview() -> typer.Typer:
+    """The command line where no command is given, or one that is not there: all commands with
+    their help, but without their signatures.
+    """
+    app = _without_commands()
+    app.callback()(_options)
+    for name in (*COMMANDS, *apps.offered("commands")):
+        app.command(name, help=_command_or_refusal(name).__doc__)(_not_given)
+    return app
+
+
+def _not_given() -> None:
+    """Stands for every command, of which none is carried out."""
+
+
 def _without_commands() -> typer.Typer:
     return typer.Typer(
         cls=Groups,
@@ -390,17 +405,17 @@ def _command_or_refusal(name: str) -> Callable[..., None]:
     return refusal
 
 
-def _commands_of(words: list[str]) -> list[str]:
-    """The command that a command line begins with; none where it begins with an option, or no app
-    has the command.
-    """
-    name = words[0] if words else "-"
+def _program_for(words: list[str]) -> typer.Typer:
+    """What a command line needs: its command, or the list of all where nobody has the command."""
+    name = words[0] if words else "--help"
+    if name == "--help":
+        return _overview()
     if name.startswith("-"):
-        return []
+        return program()
     if name in COMMANDS or apps.loaded("commands", name) is not None:
-        return [name]
+        return program(name)
     apps.must_be_complete()
-    return []
+    return _overview()
 
 
 def main(argv: list[str] | None = None) -> NoReturn:
@@ -418,7 +433,7 @@ def main(argv: list[str] | None = None) -> NoReturn:
     given = [argument for argument in arguments if argument != "--debug"]
 
     def command() -> object:
-        app = program(*_commands_of(given))
+        app = _program_for(given)
         return app(given, prog_name="vstestbed", standalone_mode=False)
 
     sys.exit(exit_code(command, debug=len(given) < len(arguments)))

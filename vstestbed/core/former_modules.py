@@ -7,8 +7,11 @@ from __future__ import annotations
 
 import sys
 from importlib import import_module
-from importlib.machinery import ModuleSpec
-from types import ModuleType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from importlib.machinery import ModuleSpec
+    from types import ModuleType
 
 APPS = "vstestbed.apps"
 FORMER = {
@@ -93,6 +96,8 @@ class FormerModules:
         """The spec of a former name; None of any other."""
         if now_at(fullname) is None:
             return None
+        from importlib.machinery import ModuleSpec
+
         return ModuleSpec(fullname, self)  # pyright: ignore[reportArgumentType] - a loader all the same
 
     def create_module(self, spec: ModuleSpec) -> ModuleType:
