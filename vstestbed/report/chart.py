@@ -323,9 +323,9 @@ class ChartPanel:
     def _axes(self, scale: Scale, last: bool) -> Iterator[str]:
         """Grid, borders at the left and below, numbers and labels."""
         left, top, width, height = scale.box
-        at_x = ticks(*sorted(scale.xlim), round(width / 46))
-        most = max(2, round(height / 21))
-        at_y = (log_ticks if self.log else ticks)(*sorted(scale.ylim), most)
+        at_x = ticks(min(scale.xlim), max(scale.xlim), round(width / 46))
+        ticked = log_ticks if self.log else ticks
+        at_y = ticked(min(scale.ylim), max(scale.ylim), max(2, round(height / 21)))
         u = left + scale.across(at_x)
         v = top + scale.down(at_y)
         grid = "".join(f"M{x:.1f} {top:.1f}v{height:.1f}" for x in u)
@@ -499,4 +499,5 @@ class Space:
         """Words beside a point of an edge."""
         at = corner + shift
         at[axis] += value - corner[axis]
-        self.text(*at.tolist(), words, ha=side)
+        x, y, z = at.tolist()
+        self.text(x, y, z, words, ha=side)

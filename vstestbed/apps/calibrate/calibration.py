@@ -382,8 +382,8 @@ def intrinsics_of(
 
 
 def _opencv_calibrates(
-    points: list[Array], uv: list[Array], size: tuple[int, int], model: Model
-) -> tuple[float, Array, Array]:
+    points: Sequence[Any], uv: Sequence[Any], size: tuple[int, int], model: Model
+) -> tuple[float, Any, Any]:
     """RMS error of points [px], camera matrix and distortion."""
     if model == "equidistant":
         flags = cv2.CALIB_RECOMPUTE_EXTRINSIC | cv2.CALIB_FIX_SKEW

@@ -124,7 +124,8 @@ def draw_trails(
         at = _edge(goal[:, i], -1)
         if names and at.size:
             name = f"\N{NO-BREAK SPACE}\N{NO-BREAK SPACE}{names[i]}"
-            panel.words.append(Words(*at[:, 0].tolist(), name, color=color))
+            x, y = at[:, 0].tolist()
+            panel.words.append(Words(x, y, name, color=color))
     trail_keys(panel)
 
 
