@@ -29,8 +29,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 import typer
-from tests.apps.suite.test_suite import OWN, PLAN
 
+from tests.apps.suite.test_suite import OWN, PLAN
 from tests.conftest import Ended
 from tests.laws.onnx_file import linear
 from tests.laws.test_policy import HOMES

@@ -293,10 +293,11 @@ def _about(file: Path, found: Mapping[str, bytes]) -> tuple[dict[str, Any], str]
     with foreign(file, WORKS, _refused):
         about = json.loads(found[ABOUT])
     main = about.get("file") if isinstance(about, dict) else None
-    if isinstance(main, str) and f"{LAW_FOLDER}/{main}" in found:
-        if main.endswith((".py", ".yaml", ".yml")):
-            return about, main
-    raise _refused(file, f"its {ABOUT} names no file of a law that it holds")
+    if not isinstance(main, str):
+        main = ""
+    if f"{LAW_FOLDER}/{main}" not in found or not main.endswith((".py", ".yaml", ".yml")):
+        raise _refused(file, f"its {ABOUT} names no file of a law that it holds")
+    return about, main
 
 
 def _handed_in(file: Path, text: bytes, entry: SuiteEntry) -> pl.DataFrame:
