@@ -92,7 +92,7 @@ REASONS = {
         sim/render/still.py FLOOR_M NEAR_M
         apps/gpu/warp_kernels.py AWAY
         sim/replay.py FLOOR_M
-        sim/scene/compose.py FINE_FLOOR_M FINE_GRID_M LIFT_M PANE_HALF_M SUN_M
+        sim/scene/compose.py FINE_FLOOR_M FINE_GRID_M LIFT_M PANE_HALF_M PLATE_HALF_M SUN_M
         sim/scene/follow.py HIDDEN_M
         sim/scene/meshes.py ENDLESS_M PRINT_M
         sim/scene/overview.py LEAST_REACH LIGHT_HEIGHT ROAM ROAM_M

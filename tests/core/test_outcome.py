@@ -79,7 +79,7 @@ def test_a_batch_has_a_code_for_each_outcome() -> None:
 @pytest.mark.app("learn")
 def test_the_environments_of_a_batch_end_as_single_ones_can() -> None:
     pytest.importorskip("gymnasium")
-    from vstestbed.apps.learn.environments import vector_env
+    from vstestbed.apps.learn import vector_env
 
     assert {outcome.name for outcome in vector_env.CODES} <= NAMES
     assert vector_env.OUTCOMES[0] is vector_env.GOING

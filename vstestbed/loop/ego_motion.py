@@ -18,7 +18,7 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.timing.setpoints import Mode, Profile
 from vstestbed.vision.base import TruthView
 
-__all__ = ["CommandHistory", "Exposure", "OwnRates", "mount_at"]
+__all__ = ["CommandHistory", "Exposure", "OwnRates", "believed_mount", "mount_at", "start_basis"]
 
 
 class Exposure(NamedTuple):

@@ -21,7 +21,16 @@ from vstestbed.robots.flight import FlightReading
 from vstestbed.scenario.cameras import OtherCamera
 from vstestbed.scenario.scenario import Scenario
 
-__all__ = ["OUTSIDE", "Inputs", "OwnClock", "Readings", "SightClock", "all_or_none", "seconds"]
+__all__ = [
+    "OUTSIDE",
+    "Inputs",
+    "OwnClock",
+    "Readings",
+    "SightClock",
+    "all_or_none",
+    "numbers_of",
+    "seconds",
+]
 
 Readings = tuple[Reading, Reading]
 # of a clock that tells no time: too long for any order, and finite, since ages are differences

@@ -199,7 +199,7 @@ class Words(NamedTuple):
     color: str = INK
 
 
-class Box(NamedTuple):
+class PlotArea(NamedTuple):
     """A rectangle of the drawing [pt]."""
 
     left: float
@@ -207,19 +207,19 @@ class Box(NamedTuple):
     width: float
     height: float
 
-    def shaped(self, across: float, down: float) -> Box:
+    def shaped(self, across: float, down: float) -> PlotArea:
         """The largest rectangle in its middle with sides as these."""
         scale = min(self.width / across, self.height / down)
         width = scale * across
         height = scale * down
         left = self.left + (self.width - width) / 2
-        return Box(left, self.top + (self.height - height) / 2, width, height)
+        return PlotArea(left, self.top + (self.height - height) / 2, width, height)
 
 
 class Scale(NamedTuple):
     """Where values lie in a panel."""
 
-    box: Box
+    box: PlotArea
     xlim: Pair
     ylim: Pair
     log: bool  # whether y is logarithmic
@@ -289,7 +289,7 @@ class ChartPanel:
             high = high if high > low else low + 1
         return x, (low, high)
 
-    def drawn(self, box: Box, last: bool) -> str:
+    def drawn(self, box: PlotArea, last: bool) -> str:
         """The SVG of the panel in a rectangle; numbers along x only in the last panel of a
         column.
         """
@@ -413,7 +413,7 @@ class Chart:
         each = (self.height - bottom - top + GAP) / shares
         body = ""
         for panel in self.panels:
-            box = Box(left, top, width - left - right, panel.share * each - GAP)
+            box = PlotArea(left, top, width - left - right, panel.share * each - GAP)
             body += panel.drawn(box, panel is self.panels[-1])
             top += panel.share * each
         look = (

@@ -29,6 +29,7 @@ __all__ = [
     "Branches",
     "ConvergenceMap",
     "ParameterAxis",
+    "Sweep",
     "TrialRow",
     "TuningPage",
     "write_basin",

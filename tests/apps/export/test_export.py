@@ -144,7 +144,7 @@ def test_bad_input_is_refused_in_a_sentence(command, place):
         ((place / "nowhere", "--to", "csv"), "no such folder"),
         ((place, "--to", "csv"), "no run here"),
         ((place / "run", "--to", "csv", "--start", "1"), "--start is for --to mcap"),
-        ((place / "run", "--to", "bag"), "'mcap', 'rosbag2', 'lerobot', 'csv'"),
+        ((place / "run", "--to", "bag"), "'mcap', 'lerobot', 'csv', 'rosbag2'"),
         (
             (place / "run", "--to", "mcap", "--out", place / "run/log.parquet/no.mcap"),
             "cannot be written",

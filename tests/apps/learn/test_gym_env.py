@@ -471,7 +471,7 @@ class TestMistakes:
     def test_without_gymnasium_a_sentence_says_what_to_install(
         self, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr(vstestbed.apps.learn, "find_spec", lambda name: None)
+        monkeypatch.setattr(vstestbed.env, "find_spec", lambda name: None)
         with pytest.raises(
             EnvironmentLackError,
             match=r"Gymnasium is not installed; pip install 'vstestbed\[env\]'",

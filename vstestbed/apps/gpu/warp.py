@@ -236,14 +236,14 @@ class _World:
         for dtype, names in kinds.items():
             for name in names:
                 setattr(self._rays, name, wp.zeros(shape, dtype=dtype))
-        self._slots = kernels.Slots()
+        self._slots = kernels.TileSlots()
         self._slots.views = wp.zeros(slots, dtype=kernels.SlotView)
         self._slots.tiles = wp.zeros((slots, MOST_TILES), dtype=kernels.Tile)
         lamps = kernels.Lamps()
         self._lights = [wp.zeros((slots, max(n, 1)), dtype=wp.vec3) for _ in LIGHTS]
         for name, lights in zip(LIGHTS, self._lights, strict=True):
             setattr(lamps, name, lights)
-        self._world = kernels.World()
+        self._world = kernels.DrawnWorlds()
         self._world.look = _look(model, paint, self._on)
         self._world.lamps = lamps
         self._world.xpos = self._data.geom_xpos
@@ -372,25 +372,63 @@ def _look(model: mujoco.MjModel, paint: Paint, on: NDArray[np.intp]) -> Any:
     """What all worlds of a scene share, as the shading kernel reads it. on: the lights that are
     lit.
     """
-    look = kernels.Look()
+    elevation, tint = paint.sky
+    cone = np.column_stack([np.cos(np.radians(model.light_cutoff[on])), model.light_exponent[on]])
+    boxes = model.geom_type == mujoco.mjtGeom.mjGEOM_BOX
+    arrays = {
+        "rgb": _on_device(paint.rgb[: model.ngeom], wp.vec3, (1, 3)),
+        "glow": _on_device(paint.glow[: model.ngeom], float, (1,)),
+        "box": _on_device(boxes.astype(np.int32), int, (1,)),
+        "half": _on_device(model.geom_size.astype(np.float32), wp.vec3, (1, 3)),
+        "elevation": _on_device(elevation.astype(np.float32), float, (1,)),
+        "tint": _on_device(tint.astype(np.float32), wp.vec3, (1, 3)),
+        "light_type": _on_device(model.light_type[on].astype(np.int32), int, (0,)),
+        "attenuation": _on_device(model.light_attenuation[on].astype(np.float32), wp.vec3, (0, 3)),
+        "cone": _on_device(cone.astype(np.float32), wp.vec2, (0, 2)),
+    }
+    look = kernels.SceneLook()
+    for name, array in (arrays | _prints(model, paint) | _texels(paint)).items():
+        setattr(look, name, array)
+    return look
+
+
+def _on_device(values: object, dtype: Any, least: tuple[int, ...]) -> Any:
+    """An array of the device; zeros of a shape in place of none."""
+    array = np.asarray(values)
+    return wp.array(array if array.size else np.zeros(least, array.dtype), dtype=dtype)
+
+
+def _prints(model: mujoco.MjModel, paint: Paint) -> dict[str, Any]:
+    """Of each geom its texture, -1 of none, and how it lies and shines."""
     n = model.ngeom
-    material = model.geom_matid
-    printed = paint.printed
-    textures = {texture: i for i, texture in enumerate(paint.mipmaps)}
+    numbers = {texture: i for i, texture in enumerate(paint.mipmaps)}
     texture = np.full(n, -1)
     times = np.ones((n, 2))
     uniform = np.zeros(n)
     gloss = np.zeros((n, 2))
     samples = np.ones(n)
-    for g in printed:
-        m = material[g]
+    for g in paint.printed:
+        m = model.geom_matid[g]
         number = int(paint.texture[g])
-        texture[g] = textures[number]
+        texture[g] = numbers[number]
         times[g] = model.mat_texrepeat[m]
         uniform[g] = model.mat_texuniform[m]
         samples[g] = 1 if paint.repeated[number] else paint.anisotropy
         if g in paint.glossy:
             gloss[g] = model.mat_specular[m], 128 * model.mat_shininess[m]
+    return {
+        "texture": _on_device(texture.astype(np.int32), int, (1,)),
+        "times": _on_device(times.astype(np.float32), wp.vec2, (1, 2)),
+        "uniform": _on_device(uniform.astype(np.int32), int, (1,)),
+        "gloss": _on_device(gloss.astype(np.float32), wp.vec2, (1, 2)),
+        "samples": _on_device(samples.astype(np.int32), int, (1,)),
+    }
+
+
+def _texels(paint: Paint) -> dict[str, Any]:
+    """All textures in one table: of each the first of its levels, and of each level its first
+    texel.
+    """
     levels = []
     sizes = []
     tables = []
@@ -400,33 +438,12 @@ def _look(model: mujoco.MjModel, paint: Paint, on: NDArray[np.intp]) -> Any:
         sizes += [(start + first, width, height) for first, width, height in mipmap.levels]
         tables.append(mipmap.table)
         start += len(mipmap.table)
-    elevation, tint = paint.sky
-    cone = np.column_stack([np.cos(np.radians(model.light_cutoff[on])), model.light_exponent[on]])
-
-    def put(values: object, dtype: Any, least: tuple[int, ...]) -> Any:
-        array = np.asarray(values)
-        return wp.array(array if array.size else np.zeros(least, array.dtype), dtype=dtype)
-
-    look.rgb = put(paint.rgb[:n], wp.vec3, (1, 3))
-    look.glow = put(paint.glow[:n], float, (1,))
-    look.box = put((model.geom_type == mujoco.mjtGeom.mjGEOM_BOX).astype(np.int32), int, (1,))
-    look.half = put(model.geom_size.astype(np.float32), wp.vec3, (1, 3))
-    look.texture = put(texture.astype(np.int32), int, (1,))
-    look.times = put(times.astype(np.float32), wp.vec2, (1, 2))
-    look.uniform = put(uniform.astype(np.int32), int, (1,))
-    look.gloss = put(gloss.astype(np.float32), wp.vec2, (1, 2))
-    look.samples = put(samples.astype(np.int32), int, (1,))
-    look.level = put(np.array(levels, np.int32), wp.vec2i, (1, 2))
-    look.size = put(np.array(sizes, np.int32), wp.vec3i, (1, 3))
-    look.texels = put(
-        np.concatenate(tables) if tables else np.zeros((1, 3), np.uint8), wp.vec3ub, (1, 3)
-    )
-    look.elevation = put(elevation.astype(np.float32), float, (1,))
-    look.tint = put(tint.astype(np.float32), wp.vec3, (1, 3))
-    look.light_type = put(model.light_type[on].astype(np.int32), int, (0,))
-    look.attenuation = put(model.light_attenuation[on].astype(np.float32), wp.vec3, (0, 3))
-    look.cone = put(cone.astype(np.float32), wp.vec2, (0, 2))
-    return look
+    table = np.concatenate(tables) if tables else np.zeros((1, 3), np.uint8)
+    return {
+        "level": _on_device(np.array(levels, np.int32), wp.vec2i, (1, 2)),
+        "size": _on_device(np.array(sizes, np.int32), wp.vec3i, (1, 3)),
+        "texels": _on_device(table, wp.vec3ub, (1, 3)),
+    }
 
 
 class Device:

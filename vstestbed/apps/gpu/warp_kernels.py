@@ -38,7 +38,7 @@ class SlotView:
 
 
 @wp.struct
-class Look:
+class SceneLook:
     """What all worlds of a scene share: colours, textures with their mipmaps one after another, the
     sky, fixed properties of lights.
     """
@@ -86,7 +86,7 @@ class Rays:
 
 
 @wp.struct
-class Slots:
+class TileSlots:
     """What is in each slot, shapes (W,) and (W, tiles)."""
 
     views: wp.array(dtype=SlotView)
@@ -113,12 +113,12 @@ class Edges:
 
 
 @wp.struct
-class World:
+class DrawnWorlds:
     """All that is shaded: what the worlds share, their lights, the poses of their geoms (W, geoms),
     and the rays.
     """
 
-    look: Look
+    look: SceneLook
     lamps: Lamps
     xpos: wp.array2d(dtype=wp.vec3)
     xmat: wp.array2d(dtype=wp.mat33)
@@ -137,7 +137,7 @@ class Hit:
 
 
 @wp.func
-def _tile(slots: Slots, w: int, j: int) -> int:
+def _tile(slots: TileSlots, w: int, j: int) -> int:
     """Number of the tile of place j; -1 for a place beyond all tiles."""
     for k in range(slots.views[w].tiles):
         tile = slots.tiles[w, k]
@@ -148,7 +148,7 @@ def _tile(slots: Slots, w: int, j: int) -> int:
 
 
 @wp.func
-def _pixel(slots: Slots, w: int, j: int, width: int) -> int:
+def _pixel(slots: TileSlots, w: int, j: int, width: int) -> int:
     """Number of the pixel of place j in the picture; -1 for a place beyond all tiles."""
     k = _tile(slots, w, j)
     if k < 0:
@@ -174,7 +174,7 @@ def _aim(rays: Rays, w: int, j: int, view: SlotView, ray: wp.vec3, apart: float)
 
 
 @wp.kernel
-def aim(slots: Slots, lens: Lens, rays: Rays):
+def aim(slots: TileSlots, lens: Lens, rays: Rays):
     """The ray through the centre of each pixel."""
     w, j = wp.tid()
     pixel = _pixel(slots, w, j, lens.width)
@@ -185,7 +185,7 @@ def aim(slots: Slots, lens: Lens, rays: Rays):
 
 
 @wp.kernel
-def blind(slots: Slots, lens: Lens, rays: Rays):
+def blind(slots: TileSlots, lens: Lens, rays: Rays):
     """Mark the pixels that have no ray, which are not the sky."""
     w, j = wp.tid()
     pixel = _pixel(slots, w, j, lens.width)
@@ -195,7 +195,7 @@ def blind(slots: Slots, lens: Lens, rays: Rays):
 
 
 @wp.kernel
-def edges(slots: Slots, rays: Rays, found: Edges):
+def edges(slots: TileSlots, rays: Rays, found: Edges):
     """The wanted places of each tile with a neighbour, of eight, that shows another geom: how many,
     and which.
     """
@@ -239,7 +239,7 @@ def _edge(count: int, first: int, j: int, n: int) -> int:
 
 @wp.kernel
 def aim_within(
-    slots: Slots,
+    slots: TileSlots,
     lens: Lens,
     within: wp.array2d(dtype=wp.vec3),
     found: Edges,
@@ -259,7 +259,7 @@ def aim_within(
 
 
 @wp.func
-def _between(look: Look, level: int, place: wp.vec2) -> wp.vec3:
+def _between(look: SceneLook, level: int, place: wp.vec2) -> wp.vec3:
     """Linear interpolation between the four texels round a place of a level, which repeats itself
     beyond its edges.
     """
@@ -286,7 +286,7 @@ def _between(look: Look, level: int, place: wp.vec2) -> wp.vec3:
 
 
 @wp.func
-def _texel(look: Look, texture: int, place: wp.vec2, texels: float) -> wp.vec3:
+def _texel(look: SceneLook, texture: int, place: wp.vec2, texels: float) -> wp.vec3:
     """A texture at a place, linear between the two levels whose texels are next to a pixel's size;
     see `shade.Mipmap.at`.
     """
@@ -310,7 +310,7 @@ def _on_face(v: wp.vec3, face: int, edges: wp.vec2, times: wp.vec2) -> wp.vec2:
 
 
 @wp.func
-def _print(look: Look, hit: Hit, x: wp.vec3, R: wp.mat33) -> wp.vec3:
+def _print(look: SceneLook, hit: Hit, x: wp.vec3, R: wp.mat33) -> wp.vec3:
     """The texture of a plane or a box with the pose x, R; see `shade.Paint._print`."""
     g = hit.geom
     ray = hit.ray
@@ -377,7 +377,7 @@ def _print(look: Look, hit: Hit, x: wp.vec3, R: wp.mat33) -> wp.vec3:
 
 
 @wp.func
-def _share(look: Look, lamps: Lamps, w: int, i: int, to: wp.vec3, far: float) -> float:
+def _share(look: SceneLook, lamps: Lamps, w: int, i: int, to: wp.vec3, far: float) -> float:
     """What share of light i, which has a place, gets to a point from which it is `far` away along
     `to`.
     """
@@ -392,7 +392,7 @@ def _share(look: Look, lamps: Lamps, w: int, i: int, to: wp.vec3, far: float) ->
 
 
 @wp.func
-def _sky(look: Look, up: float) -> wp.vec3:
+def _sky(look: SceneLook, up: float) -> wp.vec3:
     """The sky at the sine of an elevation, linear between those that are known."""
     last = look.elevation.shape[0] - 1
     if up <= look.elevation[0]:
@@ -412,7 +412,7 @@ def _sky(look: Look, up: float) -> wp.vec3:
 
 
 @wp.func
-def _colour(world: World, w: int, j: int) -> wp.vec3:
+def _colour(world: DrawnWorlds, w: int, j: int) -> wp.vec3:
     """The colour of what a ray hits, from 0 to 1; see `shade.Paint.colours`."""
     look = world.look
     lamps = world.lamps
@@ -464,7 +464,7 @@ def _grey(colour: float) -> int:
 
 
 @wp.kernel
-def shade(world: World, out: wp.array2d(dtype=wp.vec3ub)):
+def shade(world: DrawnWorlds, out: wp.array2d(dtype=wp.vec3ub)):
     """The grey levels of all places."""
     w, j = wp.tid()
     colour = wp.vec3(0.0, 0.0, 0.0)
@@ -476,7 +476,7 @@ def shade(world: World, out: wp.array2d(dtype=wp.vec3ub)):
 
 
 @wp.kernel
-def add_up(world: World, found: Edges, first: int, n: int, total: wp.array3d(dtype=int)):
+def add_up(world: DrawnWorlds, found: Edges, first: int, n: int, total: wp.array3d(dtype=int)):
     """Add the grey levels of the rays within the pixels at edges to those of their pixel: whole
     numbers, whose order does not count.
     """

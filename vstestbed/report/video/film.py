@@ -405,7 +405,7 @@ def rows_of(log: Log) -> Iterator[dict[str, float]]:
 
 
 @dataclass(frozen=True, slots=True)
-class Shot:
+class Viewpoint:
     """What a film of a recorded run shows."""
 
     camera: str  # by its name
@@ -416,7 +416,7 @@ class Shot:
 def film_log(
     scenario: Scenario,
     log: Log,
-    shot: Shot,
+    shot: Viewpoint,
     path: Path,
     quality: Quality,
     ending: Verdict | None = None,
