@@ -160,7 +160,7 @@ def render(
     from vstestbed.cli.progress import show_notes
     from vstestbed.core.files import make_parents, only_writer
     from vstestbed.loop.log_file import open_log
-    from vstestbed.report.video.film import Viewpoint, ending_of, film_log, quality_of
+    from vstestbed.report.video.film import FilmView, ending_of, film_log, quality_of
     from vstestbed.report.video.gif import gif_of
     from vstestbed.scenario.dump import load_run
 
@@ -180,8 +180,8 @@ def render(
     verdict = ending_of(run_dir)
 
     def make(path: Path) -> Path | None:
-        viewpoint = Viewpoint(camera, seen_from, size_px)
-        return film_log(scenario, log, viewpoint, path, quality, verdict)
+        view_of_film = FilmView(camera, seen_from, size_px)
+        return film_log(scenario, log, view_of_film, path, quality, verdict)
 
     # a film elsewhere changes nothing in the run's folder
     with only_writer(run_dir) if path.parent == run_dir else nullcontext():

@@ -310,6 +310,35 @@ def _on_face(v: wp.vec3, face: int, edges: wp.vec2, times: wp.vec2) -> wp.vec2:
 
 
 @wp.func
+def _mean_along(
+    look: SceneLook,
+    g: int,
+    place: wp.vec2,
+    first: wp.vec2,
+    second: wp.vec2,
+    pixels: wp.vec2,
+) -> wp.vec3:
+    """The mean of texels along the longer side of what a pixel covers (first, second), at most as
+    many as the geom's texture is sampled with.
+    """
+    texture = look.texture[g]
+    most = look.samples[g]
+    long = wp.length(wp.cw_mul(first, pixels))
+    short = wp.length(wp.cw_mul(second, pixels))
+    along = first
+    if short > long:
+        along, long, short = second, short, long
+    samples = wp.clamp(int(wp.ceil(long / wp.max(short, 1.0e-9) - 0.01)), 1, most)
+    texels = wp.max(long / float(samples), short)
+    total = wp.vec3(0.0, 0.0, 0.0)
+    for k in range(samples):
+        total += _texel(
+            look, texture, place + along * ((float(k) + 0.5) / float(samples) - 0.5), texels
+        )
+    return total / float(samples)
+
+
+@wp.func
 def _print(look: SceneLook, hit: Hit, x: wp.vec3, R: wp.mat33) -> wp.vec3:
     """The texture of a plane or a box with the pose x, R; see `shade.Paint._print`."""
     g = hit.geom
@@ -361,19 +390,7 @@ def _print(look: SceneLook, hit: Hit, x: wp.vec3, R: wp.mat33) -> wp.vec3:
     shadow = wp.normalize(shadow)
     first = _on_face(turned @ (shadow * (across / cosine)), face, edges, times)
     second = _on_face(turned @ (wp.cross(normal, shadow) * across), face, edges, times)
-    long = wp.length(wp.cw_mul(first, pixels))
-    short = wp.length(wp.cw_mul(second, pixels))
-    along = first
-    if short > long:
-        along, long, short = second, short, long
-    samples = wp.clamp(int(wp.ceil(long / wp.max(short, 1.0e-9) - 0.01)), 1, most)
-    texels = wp.max(long / float(samples), short)
-    total = wp.vec3(0.0, 0.0, 0.0)
-    for k in range(samples):
-        total += _texel(
-            look, texture, place + along * ((float(k) + 0.5) / float(samples) - 0.5), texels
-        )
-    return total / float(samples)
+    return _mean_along(look, g, place, first, second, pixels)
 
 
 @wp.func

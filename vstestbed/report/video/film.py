@@ -405,7 +405,7 @@ def rows_of(log: Log) -> Iterator[dict[str, float]]:
 
 
 @dataclass(frozen=True, slots=True)
-class Viewpoint:
+class FilmView:
     """What a film of a recorded run shows."""
 
     camera: str  # by its name
@@ -416,7 +416,7 @@ class Viewpoint:
 def film_log(
     scenario: Scenario,
     log: Log,
-    shot: Viewpoint,
+    shot: FilmView,
     path: Path,
     quality: Quality,
     ending: Verdict | None = None,
