@@ -512,6 +512,7 @@ def test_gains_are_those_of_the_metric_and_each_task_is_asked_by_itself() -> Non
     assert words.startswith("loud: its numbers are better than those flown here in 13 of 13 runs")
     assert not list(submission._flattering(quiet | {"a little": np.full((8, 2), 0.001)}))
     assert not list(submission._flattering({"none": np.empty((0, 2))}))
+    assert not list(submission._flattering({}))
 
 
 @pytest.mark.parametrize("long", [10.0, 4.0])

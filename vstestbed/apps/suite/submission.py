@@ -485,7 +485,7 @@ def _flattering(gains: Mapping[str, Array]) -> Iterator[str]:
     shares, and by what they make of the mean: much off few long runs, with a little put on many
     short ones, is seen in the mean alone, and the other way round.
     """
-    asked = {"": np.concatenate(list(gains.values()))}
+    asked = {"": np.concatenate([np.empty((0, 2)), *gains.values()])}
     if len(gains) > 1:
         asked |= gains
     p = {task: min(map(chance, each.T)) for task, each in asked.items()}
