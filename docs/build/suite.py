@@ -6,7 +6,8 @@
     python -m docs.build.suite --cost
         # processor time of a run of each task here, for `run_s` in VS-1.yaml
 
-Several files are one after the other: of laws that were flown apart.
+Several files are one after the other: of laws, or tasks, that were flown apart. Those of tasks that
+have flown with the gains of now wait in docs/research/VS-1/flown/ for the others.
 """
 
 from __future__ import annotations
