@@ -70,6 +70,21 @@ def test_two_independent_readers_open_it(run, bag):
     np.testing.assert_allclose(twists[:-1], log["applied_vx"][:-1].to_numpy(), atol=1e-12)
 
 
+def test_a_clock_that_is_behind_stamps_its_first_messages_before_0(tmp_path):
+    behind = {"stop.duration_s": 0.2, "timing.camera_clock": {"offset_s": -0.02}}
+    run_into(tmp_path / "run", vs.load("omni_ibvs", behind), "none", report=False)
+    bag = write_rosbag2(RecordedRun.of(tmp_path / "run"), tmp_path / "bag")
+    with AnyReader([bag]) as reader:
+        received = [at for _, at, _ in reader.messages()]
+        first = next(
+            reader.deserialize(data, c.msgtype)
+            for c, _, data in reader.messages()
+            if c.topic == "/joint_states"
+        )
+    assert received[0] == 0
+    assert (first.header.stamp.sec, first.header.stamp.nanosec) == (-1, 980_000_000)
+
+
 def test_replayed_its_twists_are_the_recorded_ones(bag, run):
     scenario = vs.load("arm_ibvs", GIVEN)
     found = replay(bag, scenario)

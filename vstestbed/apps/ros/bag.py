@@ -106,7 +106,8 @@ class Bag(Link):
                 self._topics[name] = self._writer.add_connection(
                     name, message.__msgtype__, typestore=types()
                 )
-            self._writer.write(self._topics[name], round(now * NS), to_cdr(message))
+            # a clock that is behind stamps its first messages before 0, where no bag begins
+            self._writer.write(self._topics[name], max(0, round(now * NS)), to_cdr(message))
 
     def subscribe(self, topic: str, kind: str, heard: Heard) -> None:
         """Nothing is heard from a bag that is written."""
