@@ -114,6 +114,16 @@ class Panel:
     lens: Camera
     R_camera_panel: Array
 
+    def ray(self, uv: Array) -> Array:
+        """Unit rays (..., 3) in the camera's frame of its pixels (..., 2)."""
+        return self.lens.ray(uv) @ self.R_camera_panel.T
+
+    def project(self, p_camera: Array) -> Array:
+        """Its pixels (..., 2) of directions (..., 3) in the camera's frame; NaN where its lens does
+        not see one.
+        """
+        return self.lens.project(p_camera @ self.R_camera_panel)
+
 
 @spec
 class Camera(ABC):

@@ -150,15 +150,12 @@ class DepthSensor(ABC):
             # of the true depth, too: noise must not bring what is far beyond the range back into it
             hole |= self._out_of_range(z)
             if rng is not None:
-                z = _flying(z, rng) if self.flies else z
+                if self.flies:
+                    z = _flying(z, rng)
                 sigma = self.sigma(z, np.minimum(theta, STEEPEST), f)
-                z = (
-                    z
-                    if sigma is None
-                    else np.asarray(
-                        z + sigma * correlated(z.shape, self.correlation_px, rng), np.float32
-                    )
-                )
+                if sigma is not None:
+                    noise = sigma * correlated(z.shape, self.correlation_px, rng)
+                    z = np.asarray(z + noise, np.float32)
             if self.quantum_px and self.baseline_m:
                 unit = np.float32(f * self.baseline_m / self.quantum_px)
                 z = np.asarray(unit / np.round(unit / z), np.float32)
@@ -179,18 +176,10 @@ class DepthSensor(ABC):
     def _ragged(self, z: DepthImage, rng: np.random.Generator) -> DepthImage:
         if not self.lateral_px:
             return z
-        v, u = (
-            np.clip(
-                at
-                + np.rint(self.lateral_px * rng.standard_normal(z.shape, dtype=np.float32)).astype(
-                    np.int32
-                ),
-                0,
-                size - 1,
-            )
-            for at, size in zip(np.ogrid[: z.shape[0], : z.shape[1]], z.shape, strict=True)
-        )
-        beside = z[v, u]
+        away = self.lateral_px * rng.standard_normal((2, *z.shape), dtype=np.float32)
+        v, u = np.indices(z.shape) + np.rint(away).astype(np.int32)
+        height, width = z.shape
+        beside = z[v.clip(0, height - 1), u.clip(0, width - 1)]
         return np.where(_apart(z, beside), beside, z)
 
 
@@ -362,14 +351,8 @@ def correlated(shape: tuple[int, ...], side: int, rng: np.random.Generator) -> D
     """
     grown = shape[0] + side - 1, shape[1] + side - 1
     noise = rng.standard_normal(grown, dtype=np.float32)
-    if side == 1:
-        return noise
-    for axis in (0, 1):
-        n = shape[axis]
-        noise = sum(
-            (np.take(noise, range(k, k + n), axis=axis) for k in range(1, side)),
-            np.take(noise, range(n), axis=axis),
-        )
+    noise = np.add.reduce([noise[k : k + shape[0]] for k in range(side)])
+    noise = np.add.reduce([noise[:, k : k + shape[1]] for k in range(side)])
     return noise / np.float32(side)
 
 
@@ -381,9 +364,8 @@ def _flying(z: DepthImage, rng: np.random.Generator) -> DepthImage:
     """The depths with pixels beside another surface anywhere between both; inf where one of both is
     nothing.
     """
-    wide = np.pad(z, 1, mode="edge")
-    around = [wide[i : i + z.shape[0], j : j + z.shape[1]] for i in range(3) for j in range(3)]
-    near = np.minimum.reduce(around)
-    far = np.maximum.reduce(around)
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(z, 1, mode="edge"), (3, 3))
+    near = around.min(axis=(2, 3))
+    far = around.max(axis=(2, 3))
     share = rng.random(z.shape, dtype=np.float32)
     return np.where(_apart(near, far), near + share * (far - near), z)

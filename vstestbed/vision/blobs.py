@@ -419,12 +419,11 @@ def seen_from(
     """
     if other == panel:
         return blob, move
-    here = camera.panels[panel]
     there = camera.panels[other]
     left, top, right, bottom = (side - 0.5 for side in blob.box)
     corners = [(left, top), (right, top), (left, bottom), (right, bottom)]
     px = np.array([(blob.u, blob.v), (blob.u + move[0], blob.v + move[1]), *corners])
-    uv = there.lens.project(here.lens.ray(px) @ here.R_camera_panel.T @ there.R_camera_panel)
+    uv = there.project(camera.panels[panel].ray(px))
     if not (np.isfinite(uv).all() and there.lens.inside(uv[1:2]).all()):
         return None
     left, top = np.floor(uv[2:].min(axis=0) + 0.5).astype(int).tolist()
@@ -659,7 +658,7 @@ class MarkerFit:
             return self._camera.ray(uv)
         rays = np.empty((len(uv), 3))
         for panel, mine in self._of:
-            rays[mine] = panel.lens.ray(uv[mine]) @ panel.R_camera_panel.T
+            rays[mine] = panel.ray(uv[mine])
         return rays
 
     def _pose(self, uv: Array, area: Array, previous: Array | None) -> Array | None:

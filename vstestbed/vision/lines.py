@@ -215,7 +215,7 @@ def _strip(camera: Camera, ahead: float, reach: float) -> Strip:
     p = on_foot(mount, floor.astype(np.float64))
     maps = []
     for panel in camera.panels:
-        uv = panel.lens.project(p @ panel.R_camera_panel)
+        uv = panel.project(p)
         u, v = np.moveaxis(np.where(panel.lens.inside(uv)[..., None], uv, OUTSIDE), -1, 0)
         maps.append((np.ascontiguousarray(u, np.float32), np.ascontiguousarray(v, np.float32)))
     return Strip(row_m, column_m, lefts, tuple(maps))

@@ -280,7 +280,7 @@ def pixels_per_unit(camera: Camera, G: Array, half: tuple[float, float]) -> floa
     rays = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3) @ G.T
     areas: list[float] = []
     for panel in camera.panels:
-        uv = panel.lens.project(rays @ panel.R_camera_panel).reshape(len(GRID), len(GRID), 2)
+        uv = panel.project(rays).reshape(len(GRID), len(GRID), 2)
         a = uv[1:, 1:] - uv[:-1, :-1]
         b = uv[1:, :-1] - uv[:-1, 1:]
         area = np.abs(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]) / 2
@@ -575,7 +575,7 @@ def _matched(image: Image, panel: Panel, template: Template) -> tuple[Array, NDA
     """
     px, descriptors = _sift().extract(image)
     mine, number, _ = mutual_matches(descriptors, template.features[1], ratio=0.8)
-    rays = panel.lens.ray(px[mine]) @ panel.R_camera_panel.T
+    rays = panel.ray(px[mine])
     known = np.isfinite(rays).all(axis=1)
     return rays[known], number[known]
 

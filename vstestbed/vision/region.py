@@ -314,16 +314,6 @@ class Border:
         """Standard deviation of the region's pixels, the geometric mean of both axes [px]."""
         return math.sqrt(math.sqrt(max(float(np.linalg.det(self.spread)), 0.0)))
 
-    def rays(self, uv: Array) -> Array:
-        """Unit rays (K, 3) in the camera's frame of pixels (K, 2) of the panel."""
-        return self.panel.lens.ray(uv) @ self.panel.R_camera_panel.T
-
-    def project(self, p: Array) -> Array:
-        """Pixels (K, 2) of the panel of directions (K, 3) in the camera's frame; NaN where its lens
-        does not see one.
-        """
-        return self.panel.lens.project(p @ self.panel.R_camera_panel)
-
 
 @dataclass(frozen=True, slots=True)
 class OutlineFit:
@@ -352,7 +342,7 @@ def fit_outline(
         turn: the rotation in the last picture [rad]; None where it is to be sought all round.
         expected: the rotation that is taken where several fit alike [rad].
     """
-    rays = border.rays(border.edge)
+    rays = border.panel.ray(border.edge)
     corners = target.figure_corners
     if corners is None:
         found = target.round_outline(rays)
@@ -365,7 +355,7 @@ def fit_outline(
         return None
     xy = rays[:, :2] / rays[:, 2:]
     # normalised coordinates of the region's centroid, and their derivative by pixels
-    near = border.rays(border.middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
+    near = border.panel.ray(border.middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
     m = near[:, :2] / near[:, 2:]
     J = (m[1:] - m[0]).T
     turns = () if turn is None else (turn,)
@@ -597,7 +587,7 @@ class RegionDetector(DetectorBase):
             # One more against whole pixels: outlines that were right, sharp, blurred over up to 8
             # px or under noise, then had under 0.015 of their length farther from the region's
             # pixels.
-            bare = bare_share(border.project(fit.close) - (left, top), found, tolerance + 1.0)
+            bare = bare_share(panel.project(fit.close) - (left, top), found, tolerance + 1.0)
             off = float(np.mean(fit.off_px > tolerance))
             if max(off, bare) <= self.hidden_share:
                 return box, middle, fit

@@ -398,8 +398,7 @@ def _measure(
     if not found:
         return uv, None
     seen = list(found)
-    panels = [(camera.panels[panel], corners) for panel, corners in found.values()]
-    rays = np.stack([panel.lens.ray(corners) @ panel.R_camera_panel.T for panel, corners in panels])
+    rays = np.stack([camera.panels[panel].ray(corners) for panel, corners in found.values()])
     # normals of the planes through the camera and each diagonal
     diagonals = np.cross(rays[:, :2], rays[:, 2:])
     centre = np.cross(diagonals[:, 0], diagonals[:, 1])
