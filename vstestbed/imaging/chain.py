@@ -187,4 +187,4 @@ def scaled(image: Image, size: tuple[int, int]) -> Image:
     # the mean of pixels where they become fewer, as INTER_AREA has it; it would show blocks where
     # they become more
     way = cv2.INTER_AREA if image.shape[1] > size[0] else cv2.INTER_LINEAR
-    return np.asarray(cv2.resize(image, size, interpolation=way), np.uint8)
+    return cv2.resize(image, size, interpolation=way)

@@ -215,14 +215,11 @@ class LensEffects:
         out by `px`.
         """
         scale = 1 + px / float(self._radius_px.max())
-        (cx, cy) = self._centre
+        cx, cy = self._centre
         inverse = np.array([[1 / scale, 0, cx - cx / scale], [0, 1 / scale, cy - cy / scale]])
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         size = channel.shape[1], channel.shape[0]
-        return np.asarray(
-            cv2.warpAffine(channel, inverse, size, flags=flags, borderMode=cv2.BORDER_REPLICATE),
-            np.float32,
-        )
+        return cv2.warpAffine(channel, inverse, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
 
 
 def defocused(light: Floats, circle_px: Floats) -> Floats:
@@ -279,9 +276,7 @@ def _blurred(image: Floats, kernel: Floats) -> Floats:
         return image
     # Of large kernels OpenCV multiplies Fourier transforms, which leaves -1e-20 where nothing
     # shines.
-    return np.asarray(
-        np.maximum(cv2.filter2D(image, -1, kernel, borderType=cv2.BORDER_REPLICATE), 0), np.float32
-    )
+    return np.maximum(cv2.filter2D(image, -1, kernel, borderType=cv2.BORDER_REPLICATE), 0)
 
 
 def _window(mask: NDArray[np.bool_], reach: int) -> tuple[slice, slice]:

@@ -198,7 +198,7 @@ class SensorNoise:
         """Numbers of all three colours (H, W, 3) from those of the pixels (H, W)."""
         way = "_EA" if self.demosaic == "edge_aware" else ""
         conversion = getattr(cv2, f"COLOR_Bayer{self.mosaic.upper()}2RGB{way}")
-        return np.asarray(cv2.demosaicing(numbers, conversion), np.uint16)
+        return cv2.demosaicing(numbers, conversion)
 
 
 def noisy(electrons: Floats, dark_noise_e: float, rng: np.random.Generator) -> Floats:

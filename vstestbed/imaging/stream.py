@@ -187,6 +187,4 @@ def _jpeg(stream: JpegStream, image: Image) -> Image:
     )
     options = [cv2.IMWRITE_JPEG_QUALITY, stream.quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, size]
     _, packet = cv2.imencode(".jpg", image[..., ::-1], options)
-    return np.ascontiguousarray(
-        np.asarray(cv2.imdecode(packet, cv2.IMREAD_COLOR), np.uint8)[..., ::-1]
-    )
+    return np.ascontiguousarray(cv2.imdecode(packet, cv2.IMREAD_COLOR)[..., ::-1])

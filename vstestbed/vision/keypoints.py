@@ -27,8 +27,8 @@ from vstestbed.vision.local_features import (
     Features,
     Matcher,
     Sift,
+    brightness,
     extracted,
-    grey,
     matched,
     mutual_matches,
 )
@@ -126,7 +126,7 @@ def smooth(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
     """A picture (H, W) as `refined` takes it: not filtered, interpolation between pixels would add
     a bias.
     """
-    return np.asarray(cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 0.8), np.float32)
+    return cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 0.8)
 
 
 def refined(
@@ -268,7 +268,7 @@ def planar_map(
     agree = np.zeros(len(a), dtype=bool)
     agree[usable] = mask.ravel() > 0
     # Its sign is the one that leaves the points in front of the camera.
-    H = np.asarray(H, float) / np.array([[1, 1, f], [1, 1, f], [1 / f, 1 / f, 1]])
+    H = H / np.array([[1, 1, f], [1, 1, f], [1 / f, 1 / f, 1]])
     ahead = homogeneous(a[agree]) @ H[2]
     return H * np.sign(np.median(ahead)), agree
 
@@ -503,7 +503,9 @@ class Keypoints(DetectorBase):
             if usable < self._matching:
                 raise ParameterError("detector.features", self._too_few(len(uv), usable))
             learned = uv[there], descriptors[there]
-        return KeypointsState(goal, learned, smooth(grey(goal.image.image)), Slots.empty(self.best))
+        return KeypointsState(
+            goal, learned, smooth(brightness(goal.image.image)), Slots.empty(self.best)
+        )
 
     @property
     def _matching(self) -> int:
@@ -562,7 +564,7 @@ class Keypoints(DetectorBase):
             raise ParameterError.missing("picture", "detector keypoints needs one whole picture")
         if not isinstance(state, KeypointsState):
             raise ParameterError.fixed("state", "that of `begin`, which learns the goal's picture")
-        dim = grey(image)
+        dim = brightness(image)
         slots = self._followed(state, dim, camera)
         since = state.since + 1
         why = ""

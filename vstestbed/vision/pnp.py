@@ -8,16 +8,13 @@ import math
 from collections.abc import Callable
 from functools import cache, lru_cache
 from itertools import combinations, permutations, product
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
 from vstestbed.core.geometry import Array, exp, inverse, lengths, skew, turn_between, unit_of
 from vstestbed.core.lazy import cv2
 from vstestbed.vision.homography import homography
-
-if TYPE_CHECKING:
-    from cv2.typing import MatLike
 
 __all__ = [
     "AT_THE_LENS",
@@ -450,7 +447,7 @@ def _step(T: Array, previous: Array, points: Array) -> float:
     return turn_between(T, previous) + math.dist(now, before) / math.hypot(*now[:3])
 
 
-def _matrix(rotation_vector: MatLike, translation: MatLike) -> Array:
+def _matrix(rotation_vector: Array, translation: Array) -> Array:
     T = _EYE.copy()
     T[:3, :3] = cv2.Rodrigues(rotation_vector)[0]
     T[:3, 3:] = translation

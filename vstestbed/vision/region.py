@@ -7,7 +7,7 @@ from __future__ import annotations
 import colorsys
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
@@ -30,9 +30,6 @@ from vstestbed.vision.colour import (
     noise_level,
     with_surroundings,
 )
-
-if TYPE_CHECKING:
-    from cv2.typing import MatLike
 
 REACH = 2  # pixels to each side of the border that are added up
 NEIGHBOURS = np.ones((3, 3), np.uint8)
@@ -64,7 +61,7 @@ def coverage(part: Image, alone: NDArray[np.uint8]) -> NDArray[np.float32]:
     return out
 
 
-def _mean_near(part: Image, which: MatLike, at: NDArray[np.bool_]) -> NDArray[np.float32]:
+def _mean_near(part: Image, which: Image, at: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Mean colours (K, 3) of the pixels of `which` (255 there) near each of K pixels `at`; where
     there are none, of all of them.
     """
@@ -537,7 +534,7 @@ class RegionDetector(DetectorBase):
                 continue  # Beyond an edge of the window, or the image's border, it may go on.
             left = window[0] + x
             top = window[1] + y
-            alone = np.asarray(255 * (labels[y : y + h, x : x + w] == label), np.uint8)
+            alone = cv2.inRange(labels[y : y + h, x : x + w], label, label)
             part = image[top : top + h, left : left + w]
             if not self._has_hue(part, alone, target.hues_deg[0]):
                 continue

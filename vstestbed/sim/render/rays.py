@@ -112,7 +112,7 @@ class Caster:
     stage: the scene. outside: show the geoms that enclose the servo camera's lens.
     """
 
-    def __init__(self, stage: Scene, outside: bool = False):
+    def __init__(self, stage: Scene, outside: bool):
         self._data = stage.data
         self._model = copy.copy(stage.model)
         self._model.body_bvhadr[:] = -1
@@ -289,10 +289,8 @@ class Raster:
         T: Array,
     ) -> None:
         # pixels with a neighbour, of eight, that shows another geom
-        height, width = geoms.shape
-        wide = np.pad(geoms, 1, mode="edge")
-        near = [wide[i : i + height, j : j + width] for i, j in np.ndindex(3, 3)]
-        row, column = np.nonzero(np.logical_or.reduce([other != geoms for other in near]))
+        near = np.lib.stride_tricks.sliding_window_view(np.pad(geoms, 1, mode="edge"), (3, 3))
+        row, column = np.nonzero((near != geoms[..., None, None]).any(axis=(2, 3)))
         if len(row):
             at = np.stack([column + corner[0], row + corner[1]], axis=-1)
             uv = at[:, None] + self.within
@@ -363,7 +361,8 @@ class RayRenderer:
         """
         start = time.perf_counter()
         images = []
-        regions, rows = (None, None) if with_depth else (regions, rows)
+        if with_depth:
+            regions = rows = None
         for i, panel in enumerate(self._camera.panels):
             windows = None if regions is None else regions[i]
             images.append(None if windows == () else self._draw(panel, i, windows, rows))
@@ -416,7 +415,7 @@ class RayRenderer:
         raster.draw(image, windows, self._caster, self._stage.camera_pose(self._eye))
 
 
-def refuse(camera: Camera, mirror: float = 0.0) -> None:
+def refuse(camera: Camera, mirror: float) -> None:
     """Refuse shadows and a floor that mirrors, which rays cannot draw.
 
     Raises ParameterError: rays were asked for. EnvironmentLackError: they are what is left without

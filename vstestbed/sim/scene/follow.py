@@ -274,7 +274,7 @@ class FollowCamera:
         size = self._share(eye, view, around)
         at = self._stage.camera_pose()[:3, 3]
         slack = 2 * target.marker.radius
-        seen = [self._sees(eye, p, slack) for p in transform(T_target, target.places)]
+        seen = self._sees(eye, transform(T_target, target.places), slack)
         faces = 1.0
         if not target.marker.height_m:
             away = -T_target[:3, :3] @ target.normals.mean(axis=0)
@@ -285,7 +285,7 @@ class FollowCamera:
             size *= 0.8 + 0.2 * min(-float(UP @ view.ahead) / math.sin(ELEVATIONS[0]), 1.0)
         else:
             way = T_target[:3, 3] - at
-            seen.append(self._sees(eye, at, HIDDEN_M))
+            seen += self._sees(eye, at[None], HIDDEN_M)
             across = np.linalg.norm(np.cross(way, view.ahead))
             aside = float(across / max(np.linalg.norm(way), 1e-9))
         merit = (
@@ -297,11 +297,8 @@ class FollowCamera:
         # of views that are equally good the first wins, whatever the last bit of a sum is
         return round(merit, 6)
 
-    def _sees(self, eye: Array, point: Array, slack: float) -> bool:
-        """Whether nothing hides a point (3,) from the eye."""
-        return bool(
-            before(
-                self._stage.model, self._stage.data, eye, (point - eye)[None], slack, (RANGE_GROUP,)
-            )[0]
-            < 0
-        )
+    def _sees(self, eye: Array, points: Array, slack: float) -> list[bool]:
+        """Whether nothing hides points (N, 3) from the eye."""
+        stage = self._stage
+        hides = before(stage.model, stage.data, eye, points - eye, slack, (RANGE_GROUP,))
+        return (hides < 0).tolist()

@@ -84,7 +84,7 @@ def joint_chain(file: str, flange: str, names: tuple[str, ...]) -> JointChain:
             "flange", "site and no body of the file", _ends_of(model), flange
         )
     body, T_body_flange = at
-    joints = _joints_to(model, body)
+    joints = joints_to(model, body)
     found = tuple(model.joint(i).name for i in joints)
     _check(model, flange, joints, found, names)
     data = mujoco.MjData(model)
@@ -254,7 +254,8 @@ def flange_in(model: mujoco.MjModel, flange: str) -> tuple[int, np.ndarray] | No
     return (body, np.eye(4)) if body > 0 else None
 
 
-def _joints_to(model: mujoco.MjModel, body: int) -> list[int]:
+def joints_to(model: mujoco.MjModel, body: int) -> list[int]:
+    """The joints from the root to a body."""
     joints: list[int] = []
     while body > 0:
         first = int(model.body_jntadr[body])
@@ -363,7 +364,7 @@ def _coupled(model: mujoco.MjModel, equality: int) -> set[int]:
         one = int(model.site_bodyid[one])
         other = int(model.site_bodyid[other])
     # what moves both changes nothing between them
-    return set(_joints_to(model, one)) ^ set(_joints_to(model, other))
+    return set(joints_to(model, one)) ^ set(joints_to(model, other))
 
 
 def _spanned(model: mujoco.MjModel, tendon: int) -> set[int]:
@@ -380,9 +381,9 @@ def _spanned(model: mujoco.MjModel, tendon: int) -> set[int]:
         if kind == mujoco.mjtWrap.mjWRAP_JOINT:
             found.add(thing)
         elif kind == mujoco.mjtWrap.mjWRAP_SITE:
-            before.append(set(_joints_to(model, int(model.site_bodyid[thing]))))
+            before.append(set(joints_to(model, int(model.site_bodyid[thing]))))
         elif kind in (mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER):
-            before.append(set(_joints_to(model, int(model.geom_bodyid[thing]))))
+            before.append(set(joints_to(model, int(model.geom_bodyid[thing]))))
     # what moves all of them changes nothing between them
     return found | (set.union(*before) - set.intersection(*before) if before else set())
 

@@ -29,6 +29,8 @@ AZIMUTHS = np.radians(np.arange(0, 360, 10))
 LIGHT_HEIGHT = 6.0
 # least half width of the shadows' depth map [m]; a tighter one speckles lit surfaces
 LEAST_REACH = 7.0
+# directions in the picture of its left, right, lower and upper edge
+SIDES = np.array([[-1.0, 0.0], [1.0, 0.0], [0.0, -1.0], [0.0, 1.0]])
 
 
 def frame_flight(scene: mujoco.MjSpec, robot: Robot, target: Target) -> None:
@@ -151,15 +153,7 @@ def extremes(points: Array, axes: Axes, tangents: Array) -> Array:
     z), and x - cx >= -l (D + z) is l D - cx >= max(-x - l z). The same upwards.
     """
     x, y, z = (points @ axis for axis in axes)
-    left, to_right, down, to_up = tangents
-    return np.array(
-        [
-            (-x - left * z).max(),
-            (x - to_right * z).max(),
-            (-y - down * z).max(),
-            (y - to_up * z).max(),
-        ]
-    )
+    return (SIDES @ np.array([x, y]) - tangents[:, None] * z).max(axis=1)
 
 
 def eye_of(most: Array, axes: Axes, tangents: Array) -> Array:
@@ -176,9 +170,6 @@ def eye_of(most: Array, axes: Axes, tangents: Array) -> Array:
 
 def holds(eye: Array, most: Array, axes: Axes, tangents: Array) -> bool:
     """Whether a place (3,) satisfies extremes (4,)."""
-    across = axes.right @ eye
-    upwards = axes.up @ eye
+    place = np.array([axes.right @ eye, axes.up @ eye])
     distance = -(axes.ahead @ eye)
-    left, to_right, down, to_up = tangents * distance
-    room = np.array([left - across, across + to_right, down - upwards, upwards + to_up])
-    return bool((room >= most).all())
+    return bool((SIDES @ place + tangents * distance >= most).all())
