@@ -24,6 +24,7 @@ from vstestbed.robots.base import Reading
 from vstestbed.sim.base import Plant, Truth, Viewpoint
 from vstestbed.sim.render.image_sensor import ImageSensor
 from vstestbed.sim.scene.attach import add_robot
+from vstestbed.sim.scene.joint_chain import largest_torques
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.targets.motion import Path
 from vstestbed.timing.setpoints import SetpointBuffer
@@ -176,7 +177,8 @@ def check_static_load(stage: Scene) -> None:
     if drives is None or not drives.carried:
         weight = weight - data.qfrc_gravcomp
     weight = weight[stage.at.qvel]
-    holds = _largest_torques(stage) + model.dof_frictionloss[stage.at.motor_qvel]
+    motors = stage.at.motor_qvel
+    holds = largest_torques(model, model.dof_jntid[motors]) + model.dof_frictionloss[motors]
     if not (over := np.flatnonzero(np.abs(weight) > holds)).size:
         return
     joint = int(over[np.argmax(np.abs(weight[over]) / holds[over])])
@@ -191,27 +193,6 @@ def check_static_load(stage: Scene) -> None:
             field, works, value = remedy
             raise UnreachableError(field, f"{words}; works: {works}", value)
     raise UnreachableError("robot.start", f"{words}; works: another start, or stronger motors")
-
-
-def _largest_torques(stage: Scene) -> Array:
-    """Largest torque of each joint's motors (n,) [Nm, N]: the lower of the actuators' limit and the
-    joint's; infinite without both.
-    """
-    model = stage.model
-    joints = model.dof_jntid[stage.at.motor_qvel]
-    most = np.full(len(joints), np.inf)
-    motors = np.array(
-        [model.actuator(f"robot/{name}").id for name in stage.body.actuators], dtype=int
-    )
-    motors = motors[model.actuator_trntype[motors] == mujoco.mjtTrn.mjTRN_JOINT]
-    for i, joint in enumerate(joints):
-        own = motors[model.actuator_trnid[motors, 0] == joint]
-        if len(own) and model.actuator_forcelimited[own].all():
-            gear = np.abs(model.actuator_gear[own, 0])
-            most[i] = (gear * model.actuator_forcerange[own, 1]).sum()
-        if model.jnt_actfrclimited[joint]:
-            most[i] = min(most[i], model.jnt_actfrcrange[joint, 1])
-    return most
 
 
 def settle(stage: Scene) -> None:

@@ -17,7 +17,6 @@ from vstestbed.core.lazy import cv2
 from vstestbed.vision.homography import homography
 
 __all__ = [
-    "AT_THE_LENS",
     "looking_along",
     "solve_pose",
     "solve_pose_from_rays",
@@ -180,6 +179,18 @@ def _placed(rays: Array, points: Array, R: Array) -> Array:
     return T
 
 
+def angular_errors(across: Array, p: Array, dp: Array) -> tuple[Array, Array, Array]:
+    """Unit vectors (N, 3) along points p (N, 3), their components across rays (N, 3), and the
+    Jacobian (N, 3, k) of these by the k numbers of which dp (N, 3, k) is that of p.
+
+    across: I - d d^T of each ray d (N, 3, 3).
+    """
+    reach = np.maximum(lengths(p), AT_THE_LENS)
+    unit = p / reach
+    dunit = (dp - unit[:, :, None] * (unit[:, None] @ dp)) / reach[:, :, None]
+    return unit, (across @ unit[:, :, None])[..., 0], across @ dunit
+
+
 def _refined(rays: Array, points: Array, T: Array) -> tuple[Array, float]:
     """The pose after Gauss-Newton on SE(3) from T, T <- exp(x) T, and the root mean square of its
     angles [rad].
@@ -188,15 +199,12 @@ def _refined(rays: Array, points: Array, T: Array) -> tuple[Array, float]:
     error = math.inf
     for _ in range(ROUNDS):
         p = points @ T[:3, :3].T + T[:3, 3]
-        reach = np.maximum(np.linalg.norm(p, axis=1), AT_THE_LENS)
-        unit = p / reach[:, None]
-        cosine = np.sum(unit * rays, axis=1)
-        e = (across @ unit[:, :, None])[..., 0]
-        error = math.sqrt(float(np.mean(np.arccos(np.clip(cosine, -1, 1)) ** 2)))
         dp = np.concatenate([np.broadcast_to(np.eye(3), (len(p), 3, 3)), -skew(p)], axis=2)
-        dunit = (dp - unit[:, :, None] * (unit[:, None] @ dp)) / reach[:, None, None]
+        unit, e, J = angular_errors(across, p, dp)
+        cosine = np.sum(unit * rays, axis=1)
+        error = math.sqrt(float(np.mean(np.arccos(np.clip(cosine, -1, 1)) ** 2)))
         # Least squares of minimum norm: directions that the markers leave open do not move.
-        x = np.linalg.lstsq((across @ dunit).reshape(-1, 6), -e.ravel(), rcond=1e-9)[0]
+        x = np.linalg.lstsq(J.reshape(-1, 6), -e.ravel(), rcond=1e-9)[0]
         size = float(np.abs(x).max())
         # steps are limited to a unit and 1 rad, beyond which the linearisation is void
         T = exp(x / max(1.0, size)) @ T

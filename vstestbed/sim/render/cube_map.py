@@ -137,10 +137,8 @@ class Cube:
         """
         out: set[int] = set()
         for left, top, right, bottom in windows:
-            part = self.owner[
-                max(top - SEAM_PX, 0) : bottom + SEAM_PX, max(left - SEAM_PX, 0) : right + SEAM_PX
-            ]
-            out.update(np.flatnonzero(np.bincount(part.ravel() + 1, minlength=2)[1:]).tolist())
+            near = left - SEAM_PX, top - SEAM_PX, right + SEAM_PX, bottom + SEAM_PX
+            out.update(self.parts(near))
         return out
 
     def parts(self, window: Window) -> dict[int, Window]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import mujoco
@@ -100,7 +101,7 @@ def joint_chain(file: str, flange: str, names: tuple[str, ...]) -> JointChain:
         anchors=data.xanchor[joints].copy(),
         T_0=T_world_body @ T_body_flange,
         limits=np.where(bounded, model.jnt_range[joints], [-np.inf, np.inf]),
-        torque=_torque(model, joints),
+        torque=largest_torques(model, joints),
         friction=model.dof_frictionloss[model.jnt_dofadr[joints]].copy(),
         drives=tuple(_drive(model, i) for i in joints),
     )
@@ -147,11 +148,10 @@ class Masses:
         spec = read_model(place_of_file(file))
         if load is not None:
             mass, *com, edge = load
-            at = spec.site(flange)
-            _, T_body_flange = self._flange(file, flange)
-            body = (at.parent if at else spec.body(flange)).add_body(
-                name="load", pos=T_body_flange[:3, :3] @ com + T_body_flange[:3, 3]
-            )
+            found = flange_in(compiled(file), flange)
+            assert found is not None  # the arm was made with it
+            T = found[1]
+            body = flange_body(spec, flange).add_body(name="load", pos=T[:3, :3] @ com + T[:3, 3])
             body.mass = mass
             body.inertia = [mass * edge**2 / 6] * 3
             body.explicitinertial = True
@@ -161,11 +161,6 @@ class Masses:
         self._places, self._dofs = places_of(self._model, joints)
         self._full = np.zeros((self._model.nv, self._model.nv))
         self._tau = np.zeros(self._model.nv)
-
-    def _flange(self, file: str, flange: str) -> tuple[int, np.ndarray]:
-        found = flange_in(compiled(file), flange)
-        assert found is not None  # the arm was made with it
-        return found
 
     def inverse(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         """See `robots.chain.ArmDynamics`."""
@@ -254,6 +249,12 @@ def flange_in(model: mujoco.MjModel, flange: str) -> tuple[int, np.ndarray] | No
     return (body, np.eye(4)) if body > 0 else None
 
 
+def flange_body(spec: mujoco.MjSpec, name: str) -> mujoco.MjsBody:
+    """The body that carries the camera: that of the site of this name, or the body itself."""
+    site = spec.site(name)
+    return site.parent if site else spec.body(name)
+
+
 def joints_to(model: mujoco.MjModel, body: int) -> list[int]:
     """The joints from the root to a body."""
     joints: list[int] = []
@@ -311,27 +312,25 @@ def _check_free(model: mujoco.MjModel, joints: list[int]) -> None:
     """Refuse constraints of the file that couple the arm's joints, with one another or with what
     stands: each is moved by itself here. Those of a gripper, beyond the flange or beside it, stay.
     """
+    works = "works: the file without it, or a flange before these joints"
     for i in np.flatnonzero(model.eq_active0).tolist():
-        if coupled := sorted(_coupled(model, i) & set(joints)):
+        if names := _names(model, _coupled(model, i), joints):
             kind = mujoco.mjtEq(model.eq_type[i]).name.removeprefix("mjEQ_").lower()
-            names = ", ".join(model.joint(j).name for j in coupled)
             of = "joint, such as a URDF's <mimic>" if kind == "joint" else kind
-            words = (
-                f"couples {names} (equality {of}), and each joint of an arm is moved by itself here"
-            )
-            raise ParameterError(
-                "file", f"{words}; works: the file without it, or a flange before these joints"
-            )
+            words = f"(equality {of}), and each joint of an arm is moved by itself here"
+            raise ParameterError("file", f"couples {', '.join(names)} {words}; {works}")
     for i in np.flatnonzero(model.tendon_limited).tolist():
-        if coupled := sorted(_spanned(model, i) & set(joints)):
-            names = ", ".join(model.joint(j).name for j in coupled)
+        if names := _names(model, _spanned(model, i), joints):
             words = (
-                f"limits {names} by the range of tendon {model.tendon(i).name or i},"
+                f"by the range of tendon {model.tendon(i).name or i},"
                 " and each joint of an arm has a range of its own here"
             )
-            raise ParameterError(
-                "file", f"{words}; works: the file without it, or a flange before these joints"
-            )
+            raise ParameterError("file", f"limits {', '.join(names)} {words}; {works}")
+
+
+def _names(model: mujoco.MjModel, some: set[int], joints: list[int]) -> list[str]:
+    """Names of those joints that are among some."""
+    return [model.joint(i).name for i in joints if i in some]
 
 
 def pulled(model: mujoco.MjModel, joints: list[int]) -> dict[str, list[str]]:
@@ -342,8 +341,8 @@ def pulled(model: mujoco.MjModel, joints: list[int]) -> dict[str, list[str]]:
     strong = np.abs(model.tendon_stiffness) + np.abs(model.tendon_damping)
     strong += np.abs(model.tendon_frictionloss) + np.abs(model.tendon_armature)
     for i in np.flatnonzero(strong).tolist():
-        if there := sorted(_spanned(model, i) & set(joints)):
-            found[model.tendon(i).name or str(i)] = [model.joint(j).name for j in there]
+        if names := _names(model, _spanned(model, i), joints):
+            found[model.tendon(i).name or str(i)] = names
     return found
 
 
@@ -410,9 +409,9 @@ def drivers(model: mujoco.MjModel, joint: int) -> list[int]:
     return np.flatnonzero(alone & (model.actuator_trnid[:, 0] == joint)).tolist()
 
 
-def _torque(model: mujoco.MjModel, joints: list[int]) -> np.ndarray:
-    """Largest torque of each joint: its own, and that of the actuators on it, by their force or a
-    motor's control; else infinite.
+def largest_torques(model: mujoco.MjModel, joints: Sequence[int] | np.ndarray) -> np.ndarray:
+    """Largest torque of each joint [Nm, N]: its own, and that of the actuators on it, by their
+    force or a motor's control; else infinite.
     """
     torque = np.full(len(joints), np.inf)
     for k, i in enumerate(joints):
