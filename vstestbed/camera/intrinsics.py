@@ -534,10 +534,10 @@ def _mount_of(plain: Mapping[str, Any]) -> Array | None:
     if len(given) > 1:
         raise ParameterError.conflict(given[0], given[1])
     name = given[0] if given else ""
-    # R of a file with a camera matrix is ROS's rectification.
-    R = plain.get(
-        "R_cam2gripper", None if "camera_matrix" in plain else plain.get("rectification_matrix")
-    )
+    turn = None
+    if "camera_matrix" not in plain:  # with one it is ROS's rectification
+        turn = plain.get("rectification_matrix")
+    R = plain.get("R_cam2gripper", turn)
     if R is not None and name in ("T_cam2gripper", "translation_vector"):
         T = np.eye(4)
         T[:3, :3] = _sized(R, "R_cam2gripper", (3, 3))

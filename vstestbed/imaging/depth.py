@@ -113,9 +113,8 @@ class DepthSensor(ABC):
     """Both views are pictures of one size: what the second one does not hold is not measured (a
     band at the left border).
     """
-    flies: ClassVar[bool] = (
-        False  # Pixels at an edge see both surfaces, and measure a depth between
-    )
+    # Pixels at an edge see both surfaces, and measure a depth between
+    flies: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         check_ordered(self, "near_m", "far_m", equal=False)
@@ -146,7 +145,9 @@ class DepthSensor(ABC):
         with np.errstate(invalid="ignore", divide="ignore"):
             theta = incidence(z, xy, f)
             hole = self._unseen(z, f) | (theta > math.radians(self.grazing_deg))
-            z = np.asarray(z if rng is None else self._ragged(z, rng), np.float32)
+            if rng is not None:
+                z = self._ragged(z, rng)
+            z = np.asarray(z, np.float32)
             # of the true depth, too: noise must not bring what is far beyond the range back into it
             hole |= self._out_of_range(z)
             if rng is not None:
@@ -223,11 +224,9 @@ class Stereo(DepthSensor):
 
     def sigma(self, z: DepthImage, theta: DepthImage, f: float) -> DepthImage | None:
         """Z^2 subpixel_px / (f baseline_m), whatever the angle."""
-        return (
-            np.asarray(z * z * (self.subpixel_px / (f * self.baseline_m)), np.float32)
-            if self.subpixel_px
-            else None
-        )
+        if not self.subpixel_px:
+            return None
+        return np.asarray(z * z * (self.subpixel_px / (f * self.baseline_m)), np.float32)
 
 
 @spec

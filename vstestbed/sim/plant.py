@@ -24,7 +24,7 @@ from vstestbed.robots.base import Reading
 from vstestbed.sim.base import Plant, Truth, Viewpoint
 from vstestbed.sim.render.image_sensor import ImageSensor
 from vstestbed.sim.scene.attach import add_robot
-from vstestbed.sim.scene.joint_chain import largest_torques
+from vstestbed.sim.scene.joint_chain import largest_torques, names_of
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.targets.motion import Path
 from vstestbed.timing.setpoints import SetpointBuffer
@@ -40,12 +40,13 @@ class RobotContacts:
 
     def __init__(self, model: mujoco.MjModel, robot: Robot):
         self._model = model
-        bodies = [model.body(i).name.startswith("robot/") for i in range(model.nbody)]
+        bodies = [name.startswith("robot/") for name in names_of(model, "body")]
         self._feet = np.zeros(model.ngeom, dtype=bool)
         for name in robot.body.feet if robot.body else ():
             self._feet[model.geom(f"robot/{name}").id] = True
         self._body = np.array(bodies)[model.geom_bodyid] & ~self._feet
-        self._floors = [i for i in range(model.ngeom) if model.geom(i).name.startswith("floor")]
+        geoms = names_of(model, "geom")
+        self._floors = [i for i, name in enumerate(geoms) if name.startswith("floor")]
         self._on_wheels = robot.base == "planar"
 
     def touching(self, data: mujoco.MjData) -> tuple[str, str]:
@@ -126,9 +127,8 @@ class SensorReader:
         return self._reading
 
 
-EXACT_M = (
-    1e-6  # entries of two poses that differ by less are the same: the arm's own model is exact
-)
+# entries of two poses that differ by less are the same: the arm's own model is exact
+EXACT_M = 1e-6
 ROUNDS = 3
 """Corrections of the joints: each leaves the product of the geometry's error and the correction
 before, under a micrometre at the third.
@@ -484,9 +484,9 @@ class MujocoPlant(Plant):
         ctrl = self._ctrl[stage.at.ctrl].copy()
         contact, feet = self._contacts.touching(stage.data)
         act = stage.data.act[stage.at.act]
-        effects = tuple(
-            value for effect, actor in self._actors.rows for value in _row(effect, actor)
-        )
+        effects: list[float] = []
+        for effect, actor in self._actors.rows:
+            effects += _row(effect, actor)
         wind = stage.model.opt.wind.copy()
         tau = self._of_robot.motor_torque()
         return Truth(
@@ -502,7 +502,7 @@ class MujocoPlant(Plant):
             feet,
             act,
             wind,
-            effects,
+            tuple(effects),
             tau,
         )
 

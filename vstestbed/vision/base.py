@@ -73,18 +73,15 @@ class Detector(Generic[M]):
     needs_truth: ClassVar[bool] = False  # it reads the ground truth: the oracle
     markers: ClassVar[tuple[str, ...]] = ()  # kinds of markers that it can detect; empty: any
     needs_sheet: ClassVar[bool] = False  # it finds the picture of a target `picture`
-    needs_goal: ClassVar[bool] = (
-        False  # it finds the goal picture's points, not the target's markers
-    )
-    draws: ClassVar[bool] = (
-        False  # `detect` draws from its generator, so that another seed gives other points
-    )
+    # it finds the goal picture's points, not the target's markers
+    needs_goal: ClassVar[bool] = False
+    # `detect` draws from its generator, so that another seed gives other points
+    draws: ClassVar[bool] = False
     # These without a type: a kind may have a field or a property in their place.
     rows: Any = None  # how many points it reports, where they are not the target's markers
     changing: Any = False  # its rows may come to show other points (`Detection.ids`)
-    fleeting: Any = (
-        False  # they do so in most pictures, so that nothing can be learnt of a point over time
-    )
+    # they do so in most pictures, so that nothing can be learnt of a point over time
+    fleeting: Any = False
 
     def init(self) -> Any:
         """The state before the first picture."""

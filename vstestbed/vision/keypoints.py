@@ -220,9 +220,8 @@ def _normalised(patches: Array) -> tuple[Array, Array]:
 
 # The homography between two views of one plane, robust against wrong matches, for any lens with one
 # image.
-LEAST_INLIERS = (
-    8  # a homography has eight unknowns; one that fewer pairs agree with may be a chance
-)
+# a homography has eight unknowns; one that fewer pairs agree with may be a chance
+LEAST_INLIERS = 8
 
 
 def map_derivatives(camera: Camera, H: Array, uv_goal: Array) -> Array:
@@ -521,11 +520,9 @@ class Keypoints(DetectorBase):
 
     def _too_few(self, found: int, usable: int) -> str:
         plane = self._matching > self.least
-        wanted = (
-            f"{self._matching} key points or more, as many as tell a plane,"
-            if plane
-            else f"least = {self.least} key points or more"
-        )
+        wanted = f"least = {self.least} key points or more"
+        if plane:
+            wanted = f"{self._matching} key points or more, as many as tell a plane,"
         words = f"must find {wanted} in the goal's picture: {self.features.kind} finds {found}"
         if found < self._matching:
             otherwise = ", or ransac: none" if plane and found >= self.least else ""

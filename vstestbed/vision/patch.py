@@ -31,9 +31,8 @@ from vstestbed.vision.pnp import looking_along
 GreyImage = NDArray[np.float32]
 
 LEAST_SIDE = 20  # shortest side of the smallest copy of a template [texel]
-BLOCKS = (
-    6  # blocks along a template's longer side, each of which is compared with the picture by itself
-)
+# blocks along a template's longer side, each of which is compared with the picture by itself
+BLOCKS = 6
 # standard deviation of a block's grey levels below which its correlation would be one of noise
 # alone
 FLAT = 6.0

@@ -340,7 +340,9 @@ def solve_pose_from_rays(rays: Array, points: Array, previous: Array | None = No
     xy, T = view
     if T is None:
         return solve_pose(xy, points, previous)
-    found = solve_pose(xy, points, None if previous is None else inverse(T) @ previous)
+    if previous is not None:
+        previous = inverse(T) @ previous
+    found = solve_pose(xy, points, previous)
     return None if found is None else T @ found
 
 

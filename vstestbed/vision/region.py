@@ -132,9 +132,8 @@ def _crossings(c: NDArray[np.float32], steep: NDArray[np.bool_]) -> Array:
 # between them.
 TURNS = 36  # rotations that are tried where none is known: every 10 degrees
 ROUNDS = 12  # most Gauss-Newton steps: from the affine guess three to six are enough
-SETTLED = (
-    1e-5  # a step that moves no point by more than this share of the region's size ends the fit
-)
+# a step that moves no point by more than this share of the region's size ends the fit
+SETTLED = 1e-5
 # points farther than so many times the usual distance from the polygon (but at least FAINT) have no
 # weight
 OUTLIER = 4.0

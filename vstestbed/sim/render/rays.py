@@ -54,13 +54,11 @@ def angles_to_next(rays: Array) -> Array:
     """Angle [rad] from each ray (H, W, 3) to the farther of the next ones across and down, shape
     (H, W); 0 where there is none.
     """
-    out = np.zeros(rays.shape[:2])
-    for axis in (0, 1):
-        if rays.shape[axis] > 1:
-            steps = lengths(np.diff(rays, axis=axis))[..., 0]
-            last = steps[-1:] if axis == 0 else steps[:, -1:]
-            np.fmax(out, np.concatenate([steps, last], axis=axis), out=out)
-    return out
+    across = lengths(np.diff(rays, axis=1))[..., 0]
+    down = lengths(np.diff(rays, axis=0))[..., 0]
+    across = np.pad(across, ((0, 0), (0, 1)), mode="edge")
+    down = np.pad(down, ((0, 1), (0, 0)), mode="edge")
+    return np.nan_to_num(np.fmax(across, down))
 
 
 ROWS = 32  # rows of an image that are cast at a time: of a narrow bundle most geoms are culled
@@ -116,9 +114,9 @@ class Caster:
         self._model = copy.copy(stage.model)
         self._model.body_bvhadr[:] = -1
         self.paint = Paint(stage.model, stage.data, stage.parts.camera.anisotropy)
-        self._shown = ~np.isin(
-            stage.model.geom_group, [RANGE_GROUP] if outside else [RANGE_GROUP, LENS_GROUP]
-        )
+        self._shown = stage.model.geom_group != RANGE_GROUP
+        if not outside:
+            self._shown &= stage.model.geom_group != LENS_GROUP
         self._endless = stage.model.geom_rbound <= 0
         self._groups = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
 
@@ -364,7 +362,8 @@ class RayRenderer:
             regions = rows = None
         for i, panel in enumerate(self._camera.panels):
             windows = None if regions is None else regions[i]
-            images.append(None if windows == () else self._draw(panel, i, windows, rows))
+            image = None if windows == () else self._draw(panel, i, windows, rows)
+            images.append(image)
         if with_depth:
             T = self._stage.camera_pose(self._eye)
             self.depth = ray_depth(self._depth_rays, T, self._caster.hits)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Image, Window
 from vstestbed.core.geometry import Array, lengths
+from vstestbed.sim.scene.meshes import CORNERS
 from vstestbed.sim.scene.world import LAMP
 
 UNSEEN_PX = 0.5  # motion in the image below which the last image is shown again [px]
@@ -21,7 +22,6 @@ UNSEEN_PX = 0.5  # motion in the image below which the last image is shown again
 SLIGHT_PX = 0.05
 NEAR_M = 0.1  # least distance that is assumed between a view and what it shows [m]
 FLOOR_M = 0.5  # the same for planes, which have no bounding sphere [m]
-CORNERS = np.array([[i, j, k] for i in (-1.0, 1.0) for j in (-1.0, 1.0) for k in (-1.0, 1.0)])
 ASIDE = 1.02  # margin of the tangents beyond which a geom is out of sight
 
 

@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 
 from vstestbed.core.geometry import Array, inverse, transform
-from vstestbed.sim.scene.joint_chain import before, turned
-from vstestbed.sim.scene.meshes import RANGE_GROUP
+from vstestbed.sim.scene.joint_chain import before, names_of, turned
+from vstestbed.sim.scene.meshes import CORNERS, RANGE_GROUP
 from vstestbed.sim.scene.overview import (
     AZIMUTHS,
     LEAST_REACH,
@@ -54,7 +54,6 @@ plates, decoys and the floor.
 STRIPE = "target/line_"  # but not these: lines on the floor reach far
 # a ray that ends so near before its point has reached it: the lens lies within a housing [m]
 HIDDEN_M = 0.12
-CORNERS = np.array([[i, j, k] for i in (-1.0, 1.0) for j in (-1.0, 1.0) for k in (-1.0, 1.0)])
 RING = np.array([[math.cos(a), math.sin(a), 0.0] for a in np.arange(8) * math.pi / 4])
 UP = np.array([0.0, 0.0, 1.0])
 BOXES = np.vstack([CORNERS, CORNERS])
@@ -82,11 +81,11 @@ class Things:
 
     def __init__(self, model: mujoco.MjModel):
         # A robot may have geoms that are fixed to the world; those of a body may have no name.
-        roots = [model.body(int(model.body_rootid[body])).name for body in model.geom_bodyid]
-        names = [
-            model.geom(i).name if root == "world" else f"{root} {model.geom(i).name}"
-            for i, root in enumerate(roots)
-        ]
+        bodies = names_of(model, "body")
+        names = names_of(model, "geom")
+        for i, root in enumerate(model.body_rootid[model.geom_bodyid]):
+            if root > 0:
+                names[i] = f"{bodies[root]} {names[i]}"
         named = np.array([name.startswith(SHOWN) and STRIPE not in name for name in names])
         drawn = (model.geom_group != RANGE_GROUP) & (model.geom_rgba[:, 3] > 0)
         shown = np.flatnonzero(named & drawn)
@@ -219,11 +218,13 @@ class FollowCamera:
             if first or not holds(self._framed, self._extremes[1], view, self._edges):
                 self._framed = eye_of(self._extremes[0], view, self._tangents)
             return self._framed
+        eye = self._showing(view, around, beside)
+        if self._share(eye, view, around) >= LEAST_SHARE:
+            return eye
         middle = around.mean(axis=0)
         near = 0.0
         far = 1.0
-        eye = self._showing(view, around, beside)
-        for _ in range(BISECTIONS if self._share(eye, view, around) < LEAST_SHARE else 0):
+        for _ in range(BISECTIONS):
             share = (near + far) / 2
             eye = self._showing(view, around, middle + share * (beside - middle))
             if self._share(eye, view, around) >= LEAST_SHARE:

@@ -9,6 +9,7 @@ import hashlib
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -110,10 +111,10 @@ def joint_chain(file: str, flange: str, names: tuple[str, ...]) -> JointChain:
 def _ends_of(model: mujoco.MjModel) -> str:
     """What could be a flange, in words: the sites, or the bodies of a file without sites."""
     kind = "bodies"
-    there = [model.body(i).name for i in range(1, model.nbody)]
+    _, *there = names_of(model, "body")  # the first is the world
     if model.nsite:
         kind = "sites"
-        there = [model.site(i).name for i in range(model.nsite)]
+        there = names_of(model, "site")
     if not there:
         return "it has none"
     known = ", ".join(filter(None, there))
@@ -189,6 +190,13 @@ class Masses:
 def dynamics(file: str, flange: str, joints: tuple[str, ...], load: Load | None) -> Masses:
     """The masses of an arm by its file, with a load at its flange."""
     return Masses(str(model_path(file)), flange, joints, load)
+
+
+def names_of(
+    model: mujoco.MjModel, kind: Literal["body", "jnt", "geom", "site", "cam", "tex"]
+) -> list[str]:
+    """Names of all bodies, joints, geoms, ... of a model, by their numbers; "" for none."""
+    return [getattr(model, kind)(i).name for i in range(getattr(model, f"n{kind}"))]
 
 
 def placed(xyz: np.ndarray, R: np.ndarray) -> np.ndarray:

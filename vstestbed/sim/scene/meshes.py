@@ -17,6 +17,7 @@ from vstestbed.effects.base import RANGE_GROUP
 from vstestbed.sim.scene.joint_chain import placed, turned
 
 __all__ = [
+    "CORNERS",
     "FACE_VIEWER",
     "GLOW",
     "HAND_PLATE",
@@ -39,6 +40,7 @@ PLAIN_RGBA = (0.5, 0.5, 0.5, 1.0)
 PAPER_RGB = (0.96, 0.96, 0.96)
 PRINT_M = 2e-4  # distance of a print before its box [m]
 ENDLESS_M = 20.0
+CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))  # of a box of half sizes 1
 # facets of round geoms round the axis, and from the equator to a pole
 AROUND = 24
 ALONG = 8
@@ -191,7 +193,7 @@ def _triangles(model: mujoco.MjModel, i: int) -> Array:
         corners = np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])
         return corners[[[0, 1, 2], [0, 2, 3]]]
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
-        return _hull(np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * size)
+        return _hull(CORNERS * size)
     if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
         return _hull(np.concatenate([_ring(size[0], z) for z in (-size[1], size[1])]))
     if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:

@@ -25,6 +25,7 @@ from vstestbed.sim.scene.joint_chain import (
     inertia_at,
     joint_chain,
     joints_to,
+    names_of,
     pulled,
 )
 from vstestbed.sim.scene.model_files import speeds_in
@@ -339,7 +340,8 @@ def _ends(model: mujoco.MjModel) -> dict[str, tuple[bool, int]]:
     """
     parents = set(model.body_parentid.tolist())
     leaves = {i for i in range(1, model.nbody) if i not in parents} | ({_trunk_end(model)} - {0})
-    ends = {model.site(i).name: (True, int(model.site_bodyid[i])) for i in range(model.nsite)}
+    sites = zip(names_of(model, "site"), model.site_bodyid.tolist(), strict=True)
+    ends = {name: (True, body) for name, body in sites}
     for i in sorted(leaves):
         ends.setdefault(model.body(i).name, (False, i))
     ends.pop("", None)

@@ -9,6 +9,7 @@ import numpy as np
 
 from vstestbed.core.geometry import Array
 from vstestbed.robots import Robot
+from vstestbed.sim.scene.meshes import CORNERS
 from vstestbed.targets.base import Target
 
 # The overview of a free camera stands this far behind the side (tangent), so that the markers'
@@ -68,9 +69,7 @@ def frame_drive(scene: mujoco.MjSpec, places: Array, sights: Array, size: float)
     size: of the vehicle [m].
     """
     room = 0.6 * size + min(ROAM * float(np.linalg.norm(np.ptp(places[:, :2], axis=0))), ROAM_M)
-    corners = np.array(
-        [[i * room, j * room, k * size] for i in (-1, 1) for j in (-1, 1) for k in (0, 1)]
-    )
+    corners = CORNERS * [room, room, size / 2] + [0, 0, size / 2]
     points = np.concatenate([(places[:, None] + corners).reshape(-1, 3), sights])
     camera = scene.camera("overview")
     half_height = np.tan(np.radians(camera.fovy / 2))
