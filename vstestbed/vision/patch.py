@@ -336,8 +336,10 @@ def align(
     References: Benhimane & Malis 2007, doi:10.1177/0278364907080252; Malis & Marchand 2006,
     doi:10.1109/IROS.2006.281831 (weights).
     """
-    visible = 0.0
     sizes = _sizes(template, picture, G)
+    if not sizes:
+        return None
+    visible = 0.0
     # most iterations, on the smallest copy first
     for size, rounds in zip(sizes, (12, 8, 8)[-len(sizes) :], strict=True):
         # They end when no corner moves by more than this in the picture [px]; in the smaller copies
@@ -347,7 +349,7 @@ def align(
         if found is None:
             return None
         G, (_, _, visible) = found
-    return G if sizes and visible >= least_visible else None
+    return G if visible >= least_visible else None
 
 
 def similarity(
