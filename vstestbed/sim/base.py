@@ -409,8 +409,9 @@ class Plant(PlantCamera):
 
 
 class OtherEye(PlantCamera):
-    """A further camera of a plant. see_hidden:
-    whether its detector needs the occlusion of markers.
+    """A further camera of a plant.
+
+    see_hidden: whether its detector needs the occlusion of markers.
     """
 
     def __init__(

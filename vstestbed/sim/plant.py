@@ -72,8 +72,11 @@ class RobotContacts:
         found = np.flatnonzero(touching.any(axis=1))
         if not len(found):
             return ""
-        one, other = map(self._name, pairs[found[0]].tolist())
-        return f"{one} and {other}" if touching[found[0], 0] else f"{other} and {one}"
+        first = found[0]
+        names = [self._name(geom) for geom in pairs[first].tolist()]
+        if not touching[first, 0]:
+            names.reverse()
+        return " and ".join(names)
 
     def _name(self, geom: int) -> str:
         """Name of a geom, or of the body it belongs to, without the prefix of its part of the
@@ -117,7 +120,8 @@ class SensorReader:
             sensors = {name: values[where] for name, where in self._sensors}
             for felt in self._felt:
                 sensors = felt(sensors)
-            q = qd = NO_JOINTS  # to index with nothing takes as long as the flight loops' filters
+            q = qd = NO_JOINTS
+            # of a craft without any an empty index would take as long as its filters
             if self._has_encoders:
                 # the encoders are on the motors
                 q = self._data.qpos[self._at.motor_qpos]
@@ -171,9 +175,8 @@ def check_static_load(stage: Scene) -> None:
     data = stage.data
     if stage.root is not None or not robot.joints:
         return
-    # at rest the bias is gravity alone
     drives = robot.body and robot.body.actuation
-    weight = data.qfrc_bias
+    weight = data.qfrc_bias  # at rest gravity alone
     if drives is None or not drives.carried:
         weight = weight - data.qfrc_gravcomp
     weight = weight[stage.at.qvel]
@@ -413,23 +416,18 @@ class MujocoPlant(Plant):
             raise ParameterError(
                 "physics.step_s", "is too long for the vehicle's springs and contacts", self.step_s
             )
-        for root, T_start, stands in (
-            (stage.root, T_robot, self._robot.base == "planar"),
-            (stage.leader, T_leader, True),
-        ):
-            if root is not None:
-                # What settled is the height; x, y and heading are the scenario's, whatever the
-                # settling did to them.
-                T = T_start.copy()
-                settled = root.pose(data)
-                T[2, 3] = settled[2, 3] if stands else T[2, 3]
-                if root is stage.root and any(effect.uneven for effect in self._robot.acting):
-                    # with its tilt there
-                    T[:3, :3] = (
-                        T_start[:3, :3]
-                        @ (inverse(pose_on_ground(place_of(settled))) @ settled)[:3, :3]
-                    )
-                root.put(data.qpos, T)
+        for root, T in ((stage.root, T_robot), (stage.leader, T_leader)):
+            if root is None:
+                continue
+            # What settled is the height; x, y and heading are the scenario's, whatever the
+            # settling did to them.
+            settled = root.pose(data)
+            if root is stage.leader or self._robot.base == "planar":
+                T[2, 3] = settled[2, 3]
+            if root is stage.root and any(effect.uneven for effect in self._robot.acting):
+                tilt = inverse(pose_on_ground(place_of(settled))) @ settled
+                T[:3, :3] = T[:3, :3] @ tilt[:3, :3]
+            root.put(data.qpos, T)
         data.qvel[:] = 0.0
         data.time = 0.0
         stage.rest()

@@ -459,10 +459,10 @@ def largest(found: list[Positioned], camera: Camera) -> Found:
         cosines.append(cosine)
         ranks.append((blob.whole, blob.area * cosine**3))
     best = ranks.index(max(ranks))
-    panel, largest = found[best]
+    panel, most = found[best]
     same: list[int] = []
     for i, (p, blob) in enumerate(found):
-        alike = p != panel and blob.whole == largest.whole
+        alike = p != panel and blob.whole == most.whole
         if alike and rays[i] @ rays[best] > SAME_MARKER_COSINE:
             same.append(i)
     return found[max([*same, best], key=lambda i: cosines[i])]

@@ -14,7 +14,16 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, DepthImage, DepthSensor, Panel, Perspective, Picture, Regions
+from vstestbed.camera import (
+    Camera,
+    DepthImage,
+    DepthSensor,
+    Panel,
+    Perspective,
+    Picture,
+    Regions,
+    Window,
+)
 from vstestbed.core.geometry import Array, Images, pixel_grid
 from vstestbed.imaging.chain import Chain, Change
 from vstestbed.imaging.shutter import Contribution, Rows, RowWeight
@@ -82,13 +91,12 @@ class PixelRows:
         lenses = [panel.lens for panel in self._camera.panels]
         if regions is None:
             return tuple(((0, 0, lens.width, lens.height),) for lens in lenses)
-        rows = [
-            tuple((0, v, lens.width, v + 1) for v in noise_rows(lens.height)) if self._noisy else ()
-            for lens in lenses
-        ]
-        return tuple(
-            windows and windows + noise for windows, noise in zip(regions, rows, strict=True)
-        )
+        asked: list[tuple[Window, ...]] = []
+        for windows, lens in zip(regions, lenses, strict=True):
+            if windows and self._noisy:
+                windows += tuple((0, v, lens.width, v + 1) for v in noise_rows(lens.height))
+            asked.append(windows)
+        return tuple(asked)
 
 
 def band(weight: Array) -> Rows:

@@ -128,8 +128,7 @@ class FixedView:
     def __init__(
         self, azimuth_deg: float, elevation_deg: float, distance_m: float, at: Array | None = None
     ):
-        (sa, se), (ca, ce) = (f(np.radians([azimuth_deg, elevation_deg])) for f in (np.sin, np.cos))
-        self._view = Axes.of(np.array([sa, -ca, 0.0]), np.array([-se * ca, -se * sa, ce]))
+        self._view = Axes.of(*slanting(math.radians(azimuth_deg), -math.radians(elevation_deg)))
         self._distance = distance_m
         self._at = at
 
