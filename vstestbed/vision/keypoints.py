@@ -632,7 +632,7 @@ class Keypoints(DetectorBase):
         one.
         """
         if self.ransac == "homography" or self.subpixel:
-            return planar_map(camera, *pairs, self.ransac_px)
+            return planar_map(camera, pairs[0], pairs[1], self.ransac_px)
         return None
 
     def _agreeing(
@@ -642,7 +642,7 @@ class Keypoints(DetectorBase):
         if self.ransac == "none":
             return np.ones(len(pairs[0]), dtype=bool)
         if self.ransac == "essential":
-            return of_one_motion(camera, *pairs, self.ransac_px)
+            return of_one_motion(camera, pairs[0], pairs[1], self.ransac_px)
         return None if plane is None else plane[1]
 
     def _matches(self, state: KeypointsState, image: Image, target: Target) -> Pairs:
@@ -674,7 +674,7 @@ class Keypoints(DetectorBase):
         if found is None or not self.subpixel:
             return self._best(pairs, first, self.best), agreeing
         H = found[0]
-        uncut = whole(dim, *pairs, map_derivatives(camera, H, pairs[0]))
+        uncut = whole(dim, pairs[0], pairs[1], map_derivatives(camera, H, pairs[0]))
         pairs, first = those(pairs, uncut, first)
         return self._measured(state, pairs, first, dim, camera, H), agreeing
 
@@ -689,7 +689,7 @@ class Keypoints(DetectorBase):
         most = 4 * tried
         while True:
             some = self._best(pairs, first, tried)
-            uv = self._refined(state, *some, dim, camera, H)
+            uv = self._refined(state, some[0], some[1], dim, camera, H)
             there = np.flatnonzero(np.isfinite(uv[:, 0]))[: self.best]
             if len(there) == self.best or len(some[0]) < tried or tried >= most:
                 return np.stack([some[0], uv])[:, there]

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable
 from functools import cache, lru_cache
 from itertools import combinations, permutations, product
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -179,7 +179,7 @@ def _placed(rays: Array, points: Array, R: Array) -> Array:
     return T
 
 
-def angular_errors(across: Array, p: Array, dp: Array) -> tuple[Array, Array, Array]:
+def angular_errors(across: Array, p: Array, dp: Array) -> tuple[Array, Array, Any]:
     """Unit vectors (N, 3) along points p (N, 3), their components across rays (N, 3), and the
     Jacobian (N, 3, k) of these by the k numbers of which dp (N, 3, k) is that of p.
 
