@@ -24,7 +24,7 @@ from vstestbed.robots.base import Reading
 from vstestbed.sim.base import Plant, Truth, Viewpoint
 from vstestbed.sim.render.image_sensor import ImageSensor
 from vstestbed.sim.scene.attach import add_robot
-from vstestbed.sim.scene.joint_chain import largest_torques, names_of
+from vstestbed.sim.scene.joint_chain import force_limits, names_of
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.targets.motion import Path
 from vstestbed.timing.setpoints import SetpointBuffer
@@ -181,7 +181,7 @@ def check_static_load(stage: Scene) -> None:
         weight = weight - data.qfrc_gravcomp
     weight = weight[stage.at.qvel]
     motors = stage.at.motor_qvel
-    holds = largest_torques(model, model.dof_jntid[motors]) + model.dof_frictionloss[motors]
+    holds = force_limits(model, model.dof_jntid[motors]) + model.dof_frictionloss[motors]
     if not (over := np.flatnonzero(np.abs(weight) > holds)).size:
         return
     joint = int(over[np.argmax(np.abs(weight[over]) / holds[over])])

@@ -102,7 +102,7 @@ def joint_chain(file: str, flange: str, names: tuple[str, ...]) -> JointChain:
         anchors=data.xanchor[joints].copy(),
         T_0=T_world_body @ T_body_flange,
         limits=np.where(bounded, model.jnt_range[joints], [-np.inf, np.inf]),
-        torque=largest_torques(model, joints),
+        torque=_torque(model, joints),
         friction=model.dof_frictionloss[model.jnt_dofadr[joints]].copy(),
         drives=tuple(_drive(model, i) for i in joints),
     )
@@ -417,23 +417,30 @@ def drivers(model: mujoco.MjModel, joint: int) -> list[int]:
     return np.flatnonzero(alone & (model.actuator_trnid[:, 0] == joint)).tolist()
 
 
-def largest_torques(model: mujoco.MjModel, joints: Sequence[int] | np.ndarray) -> np.ndarray:
-    """Largest torque of each joint [Nm, N]: its own, and that of the actuators on it, by their
-    force or a motor's control; else infinite.
+def force_limits(model: mujoco.MjModel, joints: Sequence[int] | np.ndarray) -> np.ndarray:
+    """Largest torque of each joint [Nm, N]: the lower of its own limit and that of the actuators on
+    it; infinite without both.
     """
     torque = np.full(len(joints), np.inf)
     for k, i in enumerate(joints):
         if model.jnt_actfrclimited[i]:
             torque[k] = model.jnt_actfrcrange[i, 1]
         for a in drivers(model, i):
-            gear = abs(model.actuator_gear[a, 0])
-            motor = model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE
             if model.actuator_forcelimited[a]:
-                torque[k] = min(torque[k], gear * model.actuator_forcerange[a, 1])
+                most = abs(model.actuator_gear[a, 0]) * model.actuator_forcerange[a, 1]
+                torque[k] = min(torque[k], most)
+    return torque
+
+
+def _torque(model: mujoco.MjModel, joints: list[int]) -> np.ndarray:
+    """`force_limits`, or what a motor's largest control makes of it, where that is lower."""
+    torque = force_limits(model, joints)
+    for k, i in enumerate(joints):
+        for a in drivers(model, i):
+            motor = model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE
             if motor and model.actuator_ctrllimited[a]:
-                torque[k] = min(
-                    torque[k], gear * model.actuator_gainprm[a, 0] * model.actuator_ctrlrange[a, 1]
-                )
+                gain = abs(model.actuator_gear[a, 0]) * model.actuator_gainprm[a, 0]
+                torque[k] = min(torque[k], gain * model.actuator_ctrlrange[a, 1])
     return torque
 
 
