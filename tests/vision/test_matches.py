@@ -30,8 +30,8 @@ from vstestbed.vision.local_features import (
     Akaze,
     Orb,
     Sift,
+    brightness,
     extracted,
-    grey,
     matched,
     mutual_matches,
 )
@@ -73,7 +73,11 @@ def test_features_find_their_places_again_and_patches_measure_them_below_a_pixel
     k = np.flatnonzero(agree)[spread_out(uv_goal[i][agree], 24)]
     at, uv = uv_goal[i][k], uv_now[j][k]
     fine = refined(
-        smooth(grey(goal())), smooth(grey(image)), at, uv, map_derivatives(CAMERA, plane, at)
+        smooth(brightness(goal())),
+        smooth(brightness(image)),
+        at,
+        uv,
+        map_derivatives(CAMERA, plane, at),
     )
     error = np.linalg.norm(fine - places(TURNED, at), axis=1)
     assert (
@@ -141,9 +145,9 @@ def test_the_map_of_a_plane_holds_for_a_lens_with_distortion_and_among_wrong_mat
 
 
 def test_a_patch_that_is_covered_or_cut_by_the_border_has_no_place():
-    dim = smooth(grey(goal()))
+    dim = smooth(brightness(goal()))
     uv = np.array([[100.0, 100.0], [200.0, 120.0], [5.0, 100.0]])
-    covered = grey(goal()).copy()
+    covered = brightness(goal()).copy()
     covered[105:135, 185:215] = np.random.default_rng(0).integers(0, 255, (30, 30))
     found = refined(dim, smooth(covered), uv, uv + 0.7, np.tile(np.eye(2), (3, 1, 1)))
     np.testing.assert_allclose(found[0], uv[0], atol=0.02)
@@ -151,7 +155,7 @@ def test_a_patch_that_is_covered_or_cut_by_the_border_has_no_place():
 
 
 def test_points_are_followed_until_they_are_hidden():
-    before = grey(goal())
+    before = brightness(goal())
     now = np.roll(before, (3, -5), axis=(0, 1))
     now[90:140, 130:180] = 90
     uv = cv2.goodFeaturesToTrack(before[20:220, 20:300], 400, 0.001, 6)[:, 0].astype(float) + 20

@@ -169,6 +169,12 @@ def test_out_of_the_picture_corners_are_extrapolated_until_too_little_is_seen(
     assert not _detect(poster, scene_picture(poster, gone), state=_known(poster, gone)).seen.any()
 
 
+def test_one_that_is_expected_outside_of_the_picture_is_lost(poster: PictureTarget):
+    beside = _known(poster, _view(0.3, 0.2, (5.0, 0.0, 0.8)))
+    grey = np.full((CAMERA.height, CAMERA.width, 3), 128, np.uint8)
+    assert not _detect(poster, Picture(0.1, (grey,)), state=beside).seen.any()
+
+
 def test_lost_and_found_again_at_the_next_search(poster: PictureTarget, scene_picture: TakeScene):
     there, d = scene_picture(poster, FRONT), PatchDetector(search_s=0.2)
     elsewhere = scene_picture(poster, _view(0.3, 1.8, (0.1, 0.05, 1.1)))

@@ -114,6 +114,16 @@ class Panel:
     lens: Camera
     R_camera_panel: Array
 
+    def ray(self, uv: Array) -> Array:
+        """Unit rays (..., 3) in the camera's frame of its pixels (..., 2)."""
+        return self.lens.ray(uv) @ self.R_camera_panel.T
+
+    def project(self, p_camera: Array) -> Array:
+        """Its pixels (..., 2) of directions (..., 3) in the camera's frame; NaN where its lens does
+        not see one.
+        """
+        return self.lens.project(p_camera @ self.R_camera_panel)
+
 
 @spec
 class Camera(ABC):
@@ -164,12 +174,10 @@ class Camera(ABC):
     exposure: ExposureControl | None = None
     sensor: SensorNoise | None = None
     stream: Annotated[VideoStream, STREAMS] | None = None
-    sees_all: ClassVar[bool] = (
-        False  # whether each pixel of its picture has a ray: a wide lens has an image circle
-    )
-    with_depth: ClassVar[bool] = (
-        False  # whether it may have a depth sensor: depth cameras have perspective lenses
-    )
+    # whether each pixel of its picture has a ray: a wide lens has an image circle
+    sees_all: ClassVar[bool] = False
+    # whether it may have a depth sensor: depth cameras have perspective lenses
+    with_depth: ClassVar[bool] = False
 
     @model_validator(mode="before")
     @classmethod
@@ -180,11 +188,9 @@ class Camera(ABC):
         if isinstance(intrinsics, str):
             with contextlib.suppress(ParameterError):  # which the field itself tells
                 intrinsics = read_intrinsics(intrinsics)
-        size = (
-            intrinsics.get("size")
-            if isinstance(intrinsics, Mapping)
-            else getattr(intrinsics, "size", None)
-        )
+        size = getattr(intrinsics, "size", None)
+        if isinstance(intrinsics, Mapping):
+            size = intrinsics.get("size")
         if not (isinstance(size, list | tuple) and len(size) == 2):
             return given
         sized = {"width": size[0], "height": size[1], **values, "intrinsics": intrinsics}
@@ -507,11 +513,9 @@ class Calibration:
         SE3; each may be left out. model: of the distortion, as ROS names it.
         Raises ParameterError: a matrix that is none, a skew, coefficients of another model.
         """
-        lens = (
-            None
-            if camera_matrix is None
-            else Intrinsics.of(camera_matrix, dist, model=model, name="camera_matrix")
-        )
+        lens = None
+        if camera_matrix is not None:
+            lens = Intrinsics.of(camera_matrix, dist, model=model, name="camera_matrix")
         return cls(intrinsics=lens, mount=mount)  # type: ignore[arg-type] - a Pose is also made of a matrix
 
 

@@ -10,6 +10,7 @@ import logging
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -116,18 +117,11 @@ class Intrinsics:
         no distortion where it is ignored.
         """
         fx, fy = (f * (1 + focal_error) for f in self.focal_px)
-        model = (
-            "plumb_bob"
-            if ignores_distortion and self.model == "rational_polynomial"
-            else self.model
-        )
-        return Intrinsics(
-            focal_px=(fx, fy),
-            principal_px=centre,
-            distortion=() if ignores_distortion else self.distortion,
-            size=self.size,
-            model=model,
-        )
+        scaled = replace(self, focal_px=(fx, fy), principal_px=centre)
+        if not ignores_distortion:
+            return scaled
+        model = "plumb_bob" if self.model == "rational_polynomial" else self.model
+        return replace(scaled, distortion=(), model=model)
 
     @classmethod
     def of(
@@ -448,8 +442,10 @@ def _size_in(plain: Mapping[str, Any]) -> tuple[int, int] | None:
 
 def _check_whole(plain: Mapping[str, Any], size: tuple[int, int] | None) -> None:
     """Refuse pictures that are binned or cut out of those that were calibrated."""
-    words = "is not used, and pictures are not those that were calibrated; works: the camera matrix"
-    words += " and the size of the pictures as they come, without"
+    words = (
+        "is not used, and pictures are not those that were calibrated; works: the camera matrix"
+        " and the size of the pictures as they come, without"
+    )
     for name in ("binning_x", "binning_y"):
         if plain.get(name, 0) not in (0, 1):
             raise ParameterError(name, f"{words} {name}", short(plain[name]))
@@ -469,9 +465,8 @@ def _check_raw(plain: Mapping[str, Any]) -> None:
     """
     works = (
         "works: for raw pictures (image_raw) neither R nor P;"
-        " for rectified ones the first three columns of P as"
+        " for rectified ones the first three columns of P as camera_matrix, without distortion"
     )
-    works += " camera_matrix, without distortion"
     R = _numbers(plain.get("rectification_matrix", np.eye(3)), "rectification_matrix")
     if R.size != 9 or np.abs(R.reshape(3, 3) - np.eye(3)).max() > 1e-6:  # as exact as files have it
         words = f"must be the identity: it turns the camera of a stereo pair; {works}"
@@ -539,10 +534,10 @@ def _mount_of(plain: Mapping[str, Any]) -> Array | None:
     if len(given) > 1:
         raise ParameterError.conflict(given[0], given[1])
     name = given[0] if given else ""
-    # R of a file with a camera matrix is ROS's rectification.
-    R = plain.get(
-        "R_cam2gripper", None if "camera_matrix" in plain else plain.get("rectification_matrix")
-    )
+    turn = None
+    if "camera_matrix" not in plain:  # with one it is ROS's rectification
+        turn = plain.get("rectification_matrix")
+    R = plain.get("R_cam2gripper", turn)
     if R is not None and name in ("T_cam2gripper", "translation_vector"):
         T = np.eye(4)
         T[:3, :3] = _sized(R, "R_cam2gripper", (3, 3))
@@ -605,19 +600,18 @@ def _check_frames(plain: Mapping[str, Any]) -> None:
         if found not in alone.get(name, (found,)):
             words = (
                 "is of a camera that stands beside the robot,"
-                " and this is read as the mount on the flange"
-            )
-            works = (
-                "works: a calibration eye in hand,"
+                " and this is read as the mount on the flange; works: a calibration eye in hand,"
                 " or, for a camera with on: world, the pose in the scenario itself"
             )
-            raise ParameterError(name, f"{words}; {works}", found)
+            raise ParameterError(name, words, found)
     _check_parent(plain, said)
     for name, found in said:
         if name in ("tracking_base_frame", "child_frame_id") and "optical" not in str(found):
-            words = "is not known as the camera's optical frame (x right, y down, z forward)"
-            works = "works: the pose of that frame, with a name such as camera_optical_frame"
-            raise ParameterError(name, f"{words}; {works}", found)
+            words = (
+                "is not known as the camera's optical frame (x right, y down, z forward);"
+                " works: the pose of that frame, with a name such as camera_optical_frame"
+            )
+            raise ParameterError(name, words, found)
 
 
 def _check_parent(plain: Mapping[str, Any], said: list[tuple[str, Any]]) -> None:
@@ -690,15 +684,11 @@ def as_ros(camera: Camera) -> tuple[Array, Model, Sequence[float]] | None:
     if lens not in LENSES:
         return None
     k: tuple[float, ...] = camera.lens_coefficients  # type: ignore[attr-defined] - both lenses have them
-    (fx, fy) = np.broadcast_to(camera.focal, 2)
-    (cx, cy) = camera.centre
-    model: Model = (
-        "equidistant"
-        if lens == "fisheye"
-        else "rational_polynomial"
-        if len(k) == 8
-        else "plumb_bob"
-    )
+    fx, fy = np.broadcast_to(camera.focal, 2)
+    cx, cy = camera.centre
+    model: Model = "equidistant"
+    if lens == "perspective":
+        model = "rational_polynomial" if len(k) == 8 else "plumb_bob"
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), model, k or (0.0,) * 5
 
 
@@ -707,7 +697,6 @@ def write_calibration(
     camera: Camera | None,
     T_flange_camera: Array | None,
     comment: str = "",
-    name: str = "camera",
 ) -> None:
     """Write intrinsics and a hand-eye calibration as one `camera_info` file of ROS, whose readers
     pass over `transformation`.
@@ -716,21 +705,24 @@ def write_calibration(
     if camera is not None and (lens := as_ros(camera)) is not None:
         K, model, k = lens
         P = np.column_stack([K, np.zeros(3)])
-        plain = {"image_width": camera.width, "image_height": camera.height, "camera_name": name}
-        plain |= {
+        plain = {
+            "image_width": camera.width,
+            "image_height": camera.height,
+            "camera_name": "camera",
             "camera_matrix": _matrix(K),
             "distortion_model": model,
             "distortion_coefficients": _matrix(np.array([k])),
+            "rectification_matrix": _matrix(np.eye(3)),
+            "projection_matrix": _matrix(P),
         }
-        plain |= {"rectification_matrix": _matrix(np.eye(3)), "projection_matrix": _matrix(P)}
     if T_flange_camera is not None:
-        w, x, y, z = (float(q) for q in quaternion_wxyz(T_flange_camera[:3, :3]))
-        place = dict(zip("xyz", T_flange_camera[:3, 3].tolist(), strict=True))
-        plain["transformation"] = {**place, "qx": x, "qy": y, "qz": z, "qw": w}
+        w, *turn = quaternion_wxyz(T_flange_camera[:3, :3]).tolist()
+        numbers = [*T_flange_camera[:3, 3].tolist(), *turn, w]
+        names = ("x", "y", "z", "qx", "qy", "qz", "qw")
+        plain["transformation"] = dict(zip(names, numbers, strict=True))
     notes = "".join(f"# {line}\n" for line in comment.splitlines())
-    write_whole(
-        path, notes + yaml.safe_dump(plain, sort_keys=False, default_flow_style=None, width=120)
-    )
+    text = yaml.safe_dump(plain, sort_keys=False, default_flow_style=None, width=120)
+    write_whole(path, notes + text)
 
 
 def _matrix(a: Array) -> dict[str, Any]:

@@ -138,10 +138,8 @@ class Perspective(Camera):
         self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool
     ) -> Perspective:
         if self.intrinsics is not None:
-            return replace(
-                self,
-                intrinsics=self.intrinsics.scaled(focal_error, principal_px, ignores_distortion),
-            )
+            intrinsics = self.intrinsics.scaled(focal_error, principal_px, ignores_distortion)
+            return replace(self, intrinsics=intrinsics)
         f = self.f * (1 + focal_error)
         pixel = self.pixel_size_m
         given: dict[str, float | None] = {

@@ -8,7 +8,7 @@ import math
 from abc import abstractmethod
 from dataclasses import replace
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from annotated_types import Ge, Le, Len, Lt
@@ -93,7 +93,7 @@ class Radial(Camera):
 
     def miscalibrated(
         self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool
-    ) -> Radial:
+    ) -> Self:
         """As `Camera.miscalibrated`; without a distortion to be ignored,
         unless the lens has one.
         """
@@ -132,14 +132,13 @@ class Radial(Camera):
         d = (uv - self.centre) * (self.f / self.focal)
         r = np.linalg.norm(d, axis=1, keepdims=True)
         out = d / np.maximum(r, 1e-9)
-        (inner, outer) = (self.f * m for m in self.ring)
+        inner, outer = (self.f * m for m in self.ring)
         distance = np.hstack([distance, outer - r])
         inwards = np.hstack([inwards, -out[:, None]])
-        return (
-            (distance, inwards)
-            if inner == 0
-            else (np.hstack([distance, r - inner]), np.hstack([inwards, out[:, None]]))
-        )
+        if inner > 0:
+            distance = np.hstack([distance, r - inner])
+            inwards = np.hstack([inwards, out[:, None]])
+        return distance, inwards
 
 
 def _within(value: Array, limits: tuple[float, float]) -> Array:
@@ -155,6 +154,9 @@ def _within(value: Array, limits: tuple[float, float]) -> Array:
 
 # The fisheye lens: equidistant, or with a calibrated polynomial in the angle (OpenCV's fisheye
 # model).
+EQUIDISTANT = (0.0,) * 4
+
+
 @spec
 class Fisheye(Radial):
     """Kannala and Brandt's lens, m(theta) = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4
@@ -178,19 +180,13 @@ class Fisheye(Radial):
 
     kind: Literal["fisheye"] = "fisheye"
     fov_deg: Annotated[PositiveAngle, TighterBounds(le=360)] = 185.0
-    coefficients: Annotated[tuple[Coefficient, ...], Len(4, 4)] = (0.0, 0.0, 0.0, 0.0)
+    coefficients: Annotated[tuple[Coefficient, ...], Len(4, 4)] = EQUIDISTANT
     intrinsics: LensNumbers | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        given = [
-            name for name in ("focal_length_px", "principal_px") if getattr(self, name) is not None
-        ]
-        given += ["coefficients"] * any(self.coefficients)
-        if self.intrinsics is not None and given:
-            raise ParameterError.conflict(given[0], "intrinsics, which say it")
         if self.intrinsics is not None:
-            self.intrinsics.check("fisheye", self.width, self.height, "intrinsics")
+            self._check_intrinsics(self.intrinsics)
         if self.reach[1] >= self.turn:
             words = (
                 f"fold the picture over itself within fov_deg = {self.fov_deg:g};"
@@ -201,14 +197,18 @@ class Fisheye(Radial):
                 field, f"{words} {math.degrees(2 * self.turn):.4g}", self.lens_coefficients
             )
 
+    def _check_intrinsics(self, intrinsics: Intrinsics) -> None:
+        for name in ("focal_length_px", "principal_px", "coefficients"):
+            if getattr(self, name) not in (None, EQUIDISTANT):
+                raise ParameterError.conflict(name, "intrinsics, which say it")
+        intrinsics.check("fisheye", self.width, self.height, "intrinsics")
+
     @cached_property
     def lens_coefficients(self) -> tuple[float, ...]:
         """The coefficients (k1, k2, k3, k4), the intrinsics' where there are some."""
-        return (
-            self.coefficients
-            if self.intrinsics is None
-            else self.intrinsics.distortion or (0.0,) * 4
-        )
+        if self.intrinsics is None:
+            return self.coefficients
+        return self.intrinsics.distortion or EQUIDISTANT
 
     @cached_property
     def f(self) -> float:
@@ -221,25 +221,19 @@ class Fisheye(Radial):
             self,
             focal_length_px=None,
             principal_px=None,
-            coefficients=(0.0,) * 4,
+            coefficients=EQUIDISTANT,
             intrinsics=intrinsics,
         )
 
     def miscalibrated(
         self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool
-    ) -> Radial:
+    ) -> Self:
         """As `Camera.miscalibrated`; without its distortion it is the equidistant lens."""
         if self.intrinsics is not None:
-            return replace(
-                self,
-                intrinsics=self.intrinsics.scaled(focal_error, principal_px, ignores_distortion),
-            )
+            intrinsics = self.intrinsics.scaled(focal_error, principal_px, ignores_distortion)
+            return replace(self, intrinsics=intrinsics)
         lens = super().miscalibrated(focal_error, principal_px, ignores_distortion=False)
-        return (
-            replace(lens, coefficients=(0.0,) * 4)
-            if isinstance(lens, Fisheye) and ignores_distortion
-            else lens
-        )
+        return replace(lens, coefficients=EQUIDISTANT) if ignores_distortion else lens
 
     @property
     def reach(self) -> tuple[float, float]:
@@ -379,7 +373,7 @@ class SphericalCamera(Radial):
 
     def miscalibrated(
         self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool
-    ) -> Radial:
+    ) -> Self:
         """Refused: markers are found in the panels, whose rays are known; the map of the sphere is
         only what is shown of them.
         """

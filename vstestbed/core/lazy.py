@@ -11,29 +11,28 @@ import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 MOST_PIXELS = 1 << 26
 """Of a picture that is read: a file of some kilobytes may claim a thousand million, and OpenCV's
 own bound is as high.
 """
 
-if TYPE_CHECKING:
-    import cv2
-else:
 
-    class _OpenCV:
-        def __getattr__(self, name: str) -> Any:
-            # read when it is imported
-            os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MOST_PIXELS))
-            import cv2
+class _OpenCV:
+    def __getattr__(self, name: str) -> Any:
+        # read when it is imported
+        os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MOST_PIXELS))
+        import cv2
 
-            cv2.setNumThreads(1)
-            value = getattr(cv2, name)
-            setattr(self, name, value)  # so that it is looked up once
-            return value
+        cv2.setNumThreads(1)
+        value = getattr(cv2, name)
+        setattr(self, name, value)  # so that it is looked up once
+        return value
 
-    cv2 = _OpenCV()
+
+cv2: Any = _OpenCV()
+"""Without types: OpenCV's say of every array that its numbers may be of any kind."""
 
 _QUIET = threading.RLock()
 

@@ -20,8 +20,8 @@ from vstestbed.imaging.stream import VideoStream, round_trip
 __all__ = ["Chain", "Change", "Imaging", "scaled"]
 
 Change = Callable[[float, Images, DepthImage | None], Images]
-"""One step: from the time [s], the images of all panels, and the true depths (H, W) [m] where a
-step needs them, to new images.
+"""From the time [s], the images of all panels, and the true depths (H, W) [m] where they count, to
+new images.
 """
 
 
@@ -134,8 +134,7 @@ class Imaging:
 
 
 class Chain:
-    """All changes of a rendered picture on its way to the detector; `next` gives them in their
-    order.
+    """All changes of a rendered picture on its way to the detector.
 
     imaging: lens, exposure, sensor and stream; None where the camera has none of them.
     noise, drift: of the scenario. changed: gives further changes of each next picture.
@@ -156,21 +155,23 @@ class Chain:
         self.whole = imaging is not None
         self.needs_depth = imaging is not None and imaging.needs_depth
 
-    def next(self) -> list[Change]:
-        """What becomes of the next picture, step by step; noise and changes are the same however
-        often they are applied to it.
+    def next(self) -> Change:
+        """What becomes of the next picture; noise and changes are the same however often they are
+        applied to it.
         """
         noised = self._noise.next()
         changed = self._changed() if self._changed else None
         imaging = self.imaging
-        steps: list[Change | None] = [
-            imaging.taken if imaging else None,
-            lambda t, images, depth: noised(images),
-            lambda t, images, depth: self._drift.of(images, t),
-            (lambda t, images, depth: changed(t, images)) if changed else None,
-            (lambda t, images, depth: imaging.streamed(images)) if imaging else None,
-        ]
-        return [step for step in steps if step is not None]
+
+        def developed(t: float, images: Images, depth: DepthImage | None) -> Images:
+            if imaging:
+                images = imaging.taken(t, images, depth)
+            images = self._drift.of(noised(images), t)
+            if changed:
+                images = changed(t, images)
+            return imaging.streamed(images) if imaging else images
+
+        return developed
 
     def clean(self, t: float, images: Images, depth: DepthImage | None) -> Images:
         """A picture as the mean of many at rest;
@@ -186,4 +187,4 @@ def scaled(image: Image, size: tuple[int, int]) -> Image:
     # the mean of pixels where they become fewer, as INTER_AREA has it; it would show blocks where
     # they become more
     way = cv2.INTER_AREA if image.shape[1] > size[0] else cv2.INTER_LINEAR
-    return np.asarray(cv2.resize(image, size, interpolation=way), np.uint8)
+    return cv2.resize(image, size, interpolation=way)

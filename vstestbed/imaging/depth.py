@@ -113,9 +113,8 @@ class DepthSensor(ABC):
     """Both views are pictures of one size: what the second one does not hold is not measured (a
     band at the left border).
     """
-    flies: ClassVar[bool] = (
-        False  # Pixels at an edge see both surfaces, and measure a depth between
-    )
+    # Pixels at an edge see both surfaces, and measure a depth between
+    flies: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         check_ordered(self, "near_m", "far_m", equal=False)
@@ -146,19 +145,18 @@ class DepthSensor(ABC):
         with np.errstate(invalid="ignore", divide="ignore"):
             theta = incidence(z, xy, f)
             hole = self._unseen(z, f) | (theta > math.radians(self.grazing_deg))
-            z = np.asarray(z if rng is None else self._ragged(z, rng), np.float32)
+            if rng is not None:
+                z = self._ragged(z, rng)
+            z = np.asarray(z, np.float32)
             # of the true depth, too: noise must not bring what is far beyond the range back into it
             hole |= self._out_of_range(z)
             if rng is not None:
-                z = _flying(z, rng) if self.flies else z
+                if self.flies:
+                    z = _flying(z, rng)
                 sigma = self.sigma(z, np.minimum(theta, STEEPEST), f)
-                z = (
-                    z
-                    if sigma is None
-                    else np.asarray(
-                        z + sigma * correlated(z.shape, self.correlation_px, rng), np.float32
-                    )
-                )
+                if sigma is not None:
+                    noise = sigma * correlated(z.shape, self.correlation_px, rng)
+                    z = np.asarray(z + noise, np.float32)
             if self.quantum_px and self.baseline_m:
                 unit = np.float32(f * self.baseline_m / self.quantum_px)
                 z = np.asarray(unit / np.round(unit / z), np.float32)
@@ -179,18 +177,10 @@ class DepthSensor(ABC):
     def _ragged(self, z: DepthImage, rng: np.random.Generator) -> DepthImage:
         if not self.lateral_px:
             return z
-        v, u = (
-            np.clip(
-                at
-                + np.rint(self.lateral_px * rng.standard_normal(z.shape, dtype=np.float32)).astype(
-                    np.int32
-                ),
-                0,
-                size - 1,
-            )
-            for at, size in zip(np.ogrid[: z.shape[0], : z.shape[1]], z.shape, strict=True)
-        )
-        beside = z[v, u]
+        away = self.lateral_px * rng.standard_normal((2, *z.shape), dtype=np.float32)
+        v, u = np.indices(z.shape) + np.rint(away).astype(np.int32)
+        height, width = z.shape
+        beside = z[v.clip(0, height - 1), u.clip(0, width - 1)]
         return np.where(_apart(z, beside), beside, z)
 
 
@@ -234,11 +224,9 @@ class Stereo(DepthSensor):
 
     def sigma(self, z: DepthImage, theta: DepthImage, f: float) -> DepthImage | None:
         """Z^2 subpixel_px / (f baseline_m), whatever the angle."""
-        return (
-            np.asarray(z * z * (self.subpixel_px / (f * self.baseline_m)), np.float32)
-            if self.subpixel_px
-            else None
-        )
+        if not self.subpixel_px:
+            return None
+        return np.asarray(z * z * (self.subpixel_px / (f * self.baseline_m)), np.float32)
 
 
 @spec
@@ -362,14 +350,8 @@ def correlated(shape: tuple[int, ...], side: int, rng: np.random.Generator) -> D
     """
     grown = shape[0] + side - 1, shape[1] + side - 1
     noise = rng.standard_normal(grown, dtype=np.float32)
-    if side == 1:
-        return noise
-    for axis in (0, 1):
-        n = shape[axis]
-        noise = sum(
-            (np.take(noise, range(k, k + n), axis=axis) for k in range(1, side)),
-            np.take(noise, range(n), axis=axis),
-        )
+    noise = np.add.reduce([noise[k : k + shape[0]] for k in range(side)])
+    noise = np.add.reduce([noise[:, k : k + shape[1]] for k in range(side)])
     return noise / np.float32(side)
 
 
@@ -381,9 +363,8 @@ def _flying(z: DepthImage, rng: np.random.Generator) -> DepthImage:
     """The depths with pixels beside another surface anywhere between both; inf where one of both is
     nothing.
     """
-    wide = np.pad(z, 1, mode="edge")
-    around = [wide[i : i + z.shape[0], j : j + z.shape[1]] for i in range(3) for j in range(3)]
-    near = np.minimum.reduce(around)
-    far = np.maximum.reduce(around)
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(z, 1, mode="edge"), (3, 3))
+    near = around.min(axis=(2, 3))
+    far = around.max(axis=(2, 3))
     share = rng.random(z.shape, dtype=np.float32)
     return np.where(_apart(near, far), near + share * (far - near), z)

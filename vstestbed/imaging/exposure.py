@@ -172,11 +172,9 @@ class ExposureControl:
         not settled.
         """
         time_s = self.time_s or self.nominal_s
-        return (
-            (time_s, self.gain)
-            if self.auto is None
-            else self.auto.split(self.auto.within(time_s * self.gain))
-        )
+        if self.auto is None:
+            return time_s, self.gain
+        return self.auto.split(self.auto.within(time_s * self.gain))
 
     @property
     def most_s(self) -> float:
@@ -186,13 +184,9 @@ class ExposureControl:
     @property
     def most_field(self) -> str:
         """The field of the longest exposure time, below `camera`."""
-        return (
-            "exposure.auto.longest_s"
-            if self.auto
-            else "exposure.nominal_s"
-            if self.time_s is None
-            else "exposure.time_s"
-        )
+        if self.auto:
+            return "exposure.auto.longest_s"
+        return "exposure.nominal_s" if self.time_s is None else "exposure.time_s"
 
     def light_at(self, t: float) -> float:
         """Light of the scene at a time [s], relative to the rendered one [1]."""
@@ -208,16 +202,19 @@ class ExposureLoop:
     """
 
     def __init__(self, control: ExposureControl | None, period_s: float, black: float = 0.0):
-        self._control = control or ExposureControl()
+        control = control or ExposureControl()
+        auto = control.auto
+        self._control = control
         self._black = black
-        auto = self._control.auto
-        begun = (self._control.time_s or self._control.nominal_s) * self._control.gain
         self._auto = auto
-        self._share = 0.0 if auto is None else auto.share(period_s)
-        self._coming: deque[float] = deque(
-            [begun] * (1 if auto is None else auto.delay_pictures + 1)
-        )
-        self._fresh = auto is not None and auto.settled
+        self._share = 0.0
+        self._fresh = False
+        # time x gain of the next pictures [s]
+        self._coming = deque([(control.time_s or control.nominal_s) * control.gain])
+        if auto is not None:
+            self._share = auto.share(period_s)
+            self._fresh = auto.settled
+            self._coming *= auto.delay_pictures + 1
 
     def setting(self, t: float, pictured: Callable[[ExposureSetting], Grey]) -> ExposureSetting:
         """Of the next picture, taken at a time t [s].
@@ -232,30 +229,22 @@ class ExposureLoop:
 
     def settled(self, t: float, pictured: Callable[[ExposureSetting], Grey]) -> ExposureSetting:
         """As a camera that rests would be set; the run's own exposure is left as it is."""
-        return self._split(
-            t, self._coming[-1] if self._auto is None else self._settled(t, pictured)
-        )
+        x = self._coming[-1] if self._auto is None else self._settled(t, pictured)
+        return self._split(t, x)
 
     def saw(self, image: Grey) -> None:
         """Meter the picture just taken."""
         if self._auto is None:
             return
         measured = max(self._auto.metered(image) - self._black, DARKEST)
-        self._coming.append(
-            self._auto.within(self._coming[-1] * (self._auto.target_grey / measured) ** self._share)
-        )
+        wanted = self._coming[-1] * (self._auto.target_grey / measured) ** self._share
+        self._coming.append(self._auto.within(wanted))
         self._coming.popleft()
 
     def _split(self, t: float, x: float) -> ExposureSetting:
         control = self._control
-        if self._auto is None:
-            return ExposureSetting(
-                control.light_at(t),
-                control.time_s or control.nominal_s,
-                control.gain,
-                control.nominal_s,
-            )
-        return ExposureSetting(control.light_at(t), *self._auto.split(x), control.nominal_s)
+        time_s, gain = control.first if self._auto is None else self._auto.split(x)
+        return ExposureSetting(control.light_at(t), time_s, gain, control.nominal_s)
 
     def _settled(self, t: float, pictured: Callable[[ExposureSetting], Grey]) -> float:
         """Time x gain at which the mean is the target, or the nearest limit: by bisection, as the
@@ -267,9 +256,9 @@ class ExposureLoop:
         high = math.log(auto.within(math.inf))
         for _ in range(SETTLING):
             middle = (low + high) / 2
-            bright = (
-                auto.metered(pictured(self._split(t, math.exp(middle))), 1) - self._black
-                >= auto.target_grey
-            )
-            low, high = (low, middle) if bright else (middle, high)
+            image = pictured(self._split(t, math.exp(middle)))
+            if auto.metered(image, 1) - self._black >= auto.target_grey:
+                high = middle
+            else:
+                low = middle
         return math.exp((low + high) / 2)

@@ -154,7 +154,7 @@ class LensEffects:
     """Applies the errors of a camera's lens to its pictures.
 
     size: width and height of the picture [px]. centre: principal point (2,) [px]. ray: unit rays
-    (N, 3) of pixels (N, 2).
+    (..., 3) of pixels (..., 2).
     f_px, focal_length_m: focal length in pixels and, where the camera has it, in metres: for the
     defocus of a perspective camera.
     """
@@ -191,7 +191,7 @@ class LensEffects:
             )
         for channel, px in ((0, optics.red_px), (2, optics.blue_px)):
             if px:
-                light[..., channel] = self._magnified(np.ascontiguousarray(light[..., channel]), px)
+                light[..., channel] = self._magnified(light[..., channel], px)
         if optics.cos4 or optics.vignetting > 0:
             light *= self._shading
         return light
@@ -207,10 +207,7 @@ class LensEffects:
         r = self._radius_px / float(self._radius_px.max())
         brightness = 1 - self._optics.vignetting * r * r
         if self._optics.cos4:
-            brightness = (
-                brightness
-                * self._ray(pixel_grid(*self._size).reshape(-1, 2))[:, 2].reshape(r.shape) ** 4
-            )
+            brightness = brightness * self._ray(pixel_grid(*self._size))[..., 2] ** 4
         return np.asarray(brightness, np.float32)[..., None]
 
     def _magnified(self, channel: Floats, px: float) -> Floats:
@@ -218,14 +215,11 @@ class LensEffects:
         out by `px`.
         """
         scale = 1 + px / float(self._radius_px.max())
-        (cx, cy) = self._centre
+        cx, cy = self._centre
         inverse = np.array([[1 / scale, 0, cx - cx / scale], [0, 1 / scale, cy - cy / scale]])
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         size = channel.shape[1], channel.shape[0]
-        return np.asarray(
-            cv2.warpAffine(channel, inverse, size, flags=flags, borderMode=cv2.BORDER_REPLICATE),
-            np.float32,
-        )
+        return cv2.warpAffine(channel, inverse, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
 
 
 def defocused(light: Floats, circle_px: Floats) -> Floats:
@@ -244,7 +238,7 @@ def defocused(light: Floats, circle_px: Floats) -> Floats:
     flat = (layer - lowest).ravel()
     count = np.bincount(flat)
     size = np.bincount(flat, weights=np.abs(circle_px).ravel()) / np.maximum(count, 1)
-    if len(np.flatnonzero(count)) == 1:
+    if np.count_nonzero(count) == 1:
         return _blurred(light, disc(float(size[count > 0][0])))
     height, width = layer.shape
     # The mask is a fourth colour: picture and mask are blurred in one go.
@@ -282,16 +276,13 @@ def _blurred(image: Floats, kernel: Floats) -> Floats:
         return image
     # Of large kernels OpenCV multiplies Fourier transforms, which leaves -1e-20 where nothing
     # shines.
-    return np.asarray(
-        np.maximum(cv2.filter2D(image, -1, kernel, borderType=cv2.BORDER_REPLICATE), 0), np.float32
-    )
+    return np.maximum(cv2.filter2D(image, -1, kernel, borderType=cv2.BORDER_REPLICATE), 0)
 
 
 def _window(mask: NDArray[np.bool_], reach: int) -> tuple[slice, slice]:
     """The rows and columns round a mask (H, W), `reach` more on each side."""
-    return tuple(  # pyright: ignore[reportReturnType] - of two axes
-        slice(max(0, int(at[0]) - reach), min(n, int(at[-1]) + 1 + reach))
-        for at, n in (
-            (np.flatnonzero(mask.any(axis=1 - axis)), mask.shape[axis]) for axis in (0, 1)
-        )
+    rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    return (
+        slice(max(0, rows[0] - reach), rows[-1] + 1 + reach),
+        slice(max(0, columns[0] - reach), columns[-1] + 1 + reach),
     )

@@ -111,12 +111,8 @@ class SensorNoise:
 
     def __post_init__(self) -> None:
         if self.black_level_dn > self.largest_dn / 2:
-            raise ParameterError.bound(
-                "black_level_dn",
-                "at most",
-                f"half of the largest number, {self.largest_dn}",
-                self.black_level_dn,
-            )
+            limit = f"half of the largest number, {self.largest_dn}"
+            raise ParameterError.bound("black_level_dn", "at most", limit, self.black_level_dn)
 
     @property
     def largest_dn(self) -> int:
@@ -131,11 +127,9 @@ class SensorNoise:
     @property
     def K(self) -> float:
         """Overall system gain [DN/e-]."""
-        return (
-            (self.largest_dn - self.black_level_dn) / self.white
-            if self.gain_dn_per_e is None
-            else self.gain_dn_per_e
-        )
+        if self.gain_dn_per_e is not None:
+            return self.gain_dn_per_e
+        return (self.largest_dn - self.black_level_dn) / self.white
 
     @property
     def black(self) -> float:
@@ -163,9 +157,8 @@ class SensorNoise:
         """
         if self.mosaic == "none":
             return self.upper(self.converted(light, setting, pattern, rng))
-        return self.upper(
-            self.demosaiced(self.converted(self.filtered(light), setting, pattern, rng))
-        )
+        numbers = self.converted(self.filtered(light), setting, pattern, rng)
+        return self.upper(self.demosaiced(numbers))
 
     def upper(self, numbers: Numbers) -> NDArray[np.uint8]:
         """The upper 8 bits of the converter's numbers."""
@@ -204,10 +197,8 @@ class SensorNoise:
     def demosaiced(self, numbers: Numbers) -> Numbers:
         """Numbers of all three colours (H, W, 3) from those of the pixels (H, W)."""
         way = "_EA" if self.demosaic == "edge_aware" else ""
-        return np.asarray(
-            cv2.demosaicing(numbers, getattr(cv2, f"COLOR_Bayer{self.mosaic.upper()}2RGB{way}")),
-            np.uint16,
-        )
+        conversion = getattr(cv2, f"COLOR_Bayer{self.mosaic.upper()}2RGB{way}")
+        return cv2.demosaicing(numbers, conversion)
 
 
 def noisy(electrons: Floats, dark_noise_e: float, rng: np.random.Generator) -> Floats:
@@ -227,9 +218,8 @@ def plain(light: Floats, setting: ExposureSetting) -> NDArray[np.uint8]:
     """The picture (H, W, 3) of a sensor without noise, of the light (H, W, 3) [0 to 255 of the
     rendered picture].
     """
-    return np.clip(
-        light * np.float32(setting.collected * setting.gain) + np.float32(0.5), 0, WHITE
-    ).astype(np.uint8)
+    value = light * np.float32(setting.collected * setting.gain) + np.float32(0.5)
+    return np.clip(value, 0, WHITE).astype(np.uint8)
 
 
 @spec
@@ -308,7 +298,6 @@ class ImageNoise:
         )
 
     def _added(self, image: Image, seed: tuple[int, int]) -> Image:
-        noise = np.random.default_rng(seed).standard_normal(
-            image.shape, dtype=np.float32
-        ) * np.float32(self._sigma)
+        noise = np.random.default_rng(seed).standard_normal(image.shape, dtype=np.float32)
+        noise *= np.float32(self._sigma)
         return np.clip(image + noise + 0.5, 0, 255).astype(np.uint8)

@@ -115,12 +115,10 @@ class Opening:
     @cached_property
     def offsets(self) -> tuple[int, ...]:
         """Steps at which images are drawn, symmetric; the middle is one of them."""
+        if self.half == 0:
+            return (0,)
         n = min(2 * self.half + 1, self.most - 1 + self.most % 2)  # odd
-        return (
-            tuple(np.round(np.linspace(-self.half, self.half, n)).astype(int).tolist())
-            if self.half
-            else (0,)
-        )
+        return tuple(np.round(np.linspace(-self.half, self.half, n)).astype(int).tolist())
 
     @cached_property
     def nodes(self) -> Array:

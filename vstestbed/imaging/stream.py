@@ -180,13 +180,9 @@ def round_trip(stream: VideoStream | None, rate_hz: float) -> Callable[[Image], 
 
 
 def _jpeg(stream: JpegStream, image: Image) -> Image:
-    size = (
-        cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420
-        if stream.colours == "half"
-        else cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444
-    )
+    size = cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444
+    if stream.colours == "half":
+        size = cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420
     options = [cv2.IMWRITE_JPEG_QUALITY, stream.quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, size]
     _, packet = cv2.imencode(".jpg", image[..., ::-1], options)
-    return np.ascontiguousarray(
-        np.asarray(cv2.imdecode(packet, cv2.IMREAD_COLOR), np.uint8)[..., ::-1]
-    )
+    return np.ascontiguousarray(cv2.imdecode(packet, cv2.IMREAD_COLOR)[..., ::-1])

@@ -397,9 +397,10 @@ class Plant(PlantCamera):
         """
         if self._stage is None or self._stage.hand_plate is None:
             raise ParameterError.missing("plate", "a session has one with plate_m=0.1")
-        away = np.eye(4)
-        away[:3, 3] = AWAY
-        self._stage.put(self._stage.hand_plate, away if T_world_plate is None else T_world_plate)
+        if T_world_plate is None:
+            T_world_plate = np.eye(4)
+            T_world_plate[:3, 3] = AWAY
+        self._stage.put(self._stage.hand_plate, T_world_plate)
 
     def close(self) -> None:
         """Free pictures and physics."""
@@ -408,8 +409,9 @@ class Plant(PlantCamera):
 
 
 class OtherEye(PlantCamera):
-    """A further camera of a plant. see_hidden:
-    whether its detector needs the occlusion of markers.
+    """A further camera of a plant.
+
+    see_hidden: whether its detector needs the occlusion of markers.
     """
 
     def __init__(

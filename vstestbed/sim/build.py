@@ -173,7 +173,7 @@ def scene_files(scene: SceneDescription) -> tuple[str, dict[str, bytes]]:
         spec.add_key(name="start", **{name: values.flatten() for name, values in own.items()})
         plant.close()
     for geom in spec.geoms:
-        # MuJoCo's viewer shows groups 0 to 2 by itself
-        geom.group = 0 if geom.group == TARGET_GROUP else geom.group
+        if geom.group == TARGET_GROUP:  # MuJoCo's viewer shows groups 0 to 2 by itself
+            geom.group = 0
     spec.compile()
     return exact_xml(spec), dict(spec.assets)

@@ -24,6 +24,7 @@ from vstestbed.robots.base import Reading
 from vstestbed.sim.base import Plant, Truth, Viewpoint
 from vstestbed.sim.render.image_sensor import ImageSensor
 from vstestbed.sim.scene.attach import add_robot
+from vstestbed.sim.scene.joint_chain import force_limits, names_of
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.targets.motion import Path
 from vstestbed.timing.setpoints import SetpointBuffer
@@ -39,12 +40,13 @@ class RobotContacts:
 
     def __init__(self, model: mujoco.MjModel, robot: Robot):
         self._model = model
-        bodies = [model.body(i).name.startswith("robot/") for i in range(model.nbody)]
+        bodies = [name.startswith("robot/") for name in names_of(model, "body")]
         self._feet = np.zeros(model.ngeom, dtype=bool)
         for name in robot.body.feet if robot.body else ():
             self._feet[model.geom(f"robot/{name}").id] = True
         self._body = np.array(bodies)[model.geom_bodyid] & ~self._feet
-        self._floors = [i for i in range(model.ngeom) if model.geom(i).name.startswith("floor")]
+        geoms = names_of(model, "geom")
+        self._floors = [i for i, name in enumerate(geoms) if name.startswith("floor")]
         self._on_wheels = robot.base == "planar"
 
     def touching(self, data: mujoco.MjData) -> tuple[str, str]:
@@ -70,8 +72,11 @@ class RobotContacts:
         found = np.flatnonzero(touching.any(axis=1))
         if not len(found):
             return ""
-        one, other = map(self._name, pairs[found[0]].tolist())
-        return f"{one} and {other}" if touching[found[0], 0] else f"{other} and {one}"
+        first = found[0]
+        names = [self._name(geom) for geom in pairs[first].tolist()]
+        if not touching[first, 0]:
+            names.reverse()
+        return " and ".join(names)
 
     def _name(self, geom: int) -> str:
         """Name of a geom, or of the body it belongs to, without the prefix of its part of the
@@ -115,7 +120,8 @@ class SensorReader:
             sensors = {name: values[where] for name, where in self._sensors}
             for felt in self._felt:
                 sensors = felt(sensors)
-            q = qd = NO_JOINTS  # to index with nothing takes as long as the flight loops' filters
+            q = qd = NO_JOINTS
+            # of a craft without any an empty index would take as long as its filters
             if self._has_encoders:
                 # the encoders are on the motors
                 q = self._data.qpos[self._at.motor_qpos]
@@ -125,9 +131,8 @@ class SensorReader:
         return self._reading
 
 
-EXACT_M = (
-    1e-6  # entries of two poses that differ by less are the same: the arm's own model is exact
-)
+# entries of two poses that differ by less are the same: the arm's own model is exact
+EXACT_M = 1e-6
 ROUNDS = 3
 """Corrections of the joints: each leaves the product of the geometry's error and the correction
 before, under a micrometre at the third.
@@ -170,13 +175,13 @@ def check_static_load(stage: Scene) -> None:
     data = stage.data
     if stage.root is not None or not robot.joints:
         return
-    # at rest the bias is gravity alone
     drives = robot.body and robot.body.actuation
-    weight = data.qfrc_bias
+    weight = data.qfrc_bias  # at rest gravity alone
     if drives is None or not drives.carried:
         weight = weight - data.qfrc_gravcomp
     weight = weight[stage.at.qvel]
-    holds = _largest_torques(stage) + model.dof_frictionloss[stage.at.motor_qvel]
+    motors = stage.at.motor_qvel
+    holds = force_limits(model, model.dof_jntid[motors]) + model.dof_frictionloss[motors]
     if not (over := np.flatnonzero(np.abs(weight) > holds)).size:
         return
     joint = int(over[np.argmax(np.abs(weight[over]) / holds[over])])
@@ -191,27 +196,6 @@ def check_static_load(stage: Scene) -> None:
             field, works, value = remedy
             raise UnreachableError(field, f"{words}; works: {works}", value)
     raise UnreachableError("robot.start", f"{words}; works: another start, or stronger motors")
-
-
-def _largest_torques(stage: Scene) -> Array:
-    """Largest torque of each joint's motors (n,) [Nm, N]: the lower of the actuators' limit and the
-    joint's; infinite without both.
-    """
-    model = stage.model
-    joints = model.dof_jntid[stage.at.motor_qvel]
-    most = np.full(len(joints), np.inf)
-    motors = np.array(
-        [model.actuator(f"robot/{name}").id for name in stage.body.actuators], dtype=int
-    )
-    motors = motors[model.actuator_trntype[motors] == mujoco.mjtTrn.mjTRN_JOINT]
-    for i, joint in enumerate(joints):
-        own = motors[model.actuator_trnid[motors, 0] == joint]
-        if len(own) and model.actuator_forcelimited[own].all():
-            gear = np.abs(model.actuator_gear[own, 0])
-            most[i] = (gear * model.actuator_forcerange[own, 1]).sum()
-        if model.jnt_actfrclimited[joint]:
-            most[i] = min(most[i], model.jnt_actfrcrange[joint, 1])
-    return most
 
 
 def settle(stage: Scene) -> None:
@@ -432,23 +416,18 @@ class MujocoPlant(Plant):
             raise ParameterError(
                 "physics.step_s", "is too long for the vehicle's springs and contacts", self.step_s
             )
-        for root, T_start, stands in (
-            (stage.root, T_robot, self._robot.base == "planar"),
-            (stage.leader, T_leader, True),
-        ):
-            if root is not None:
-                # What settled is the height; x, y and heading are the scenario's, whatever the
-                # settling did to them.
-                T = T_start.copy()
-                settled = root.pose(data)
-                T[2, 3] = settled[2, 3] if stands else T[2, 3]
-                if root is stage.root and any(effect.uneven for effect in self._robot.acting):
-                    # with its tilt there
-                    T[:3, :3] = (
-                        T_start[:3, :3]
-                        @ (inverse(pose_on_ground(place_of(settled))) @ settled)[:3, :3]
-                    )
-                root.put(data.qpos, T)
+        for root, T in ((stage.root, T_robot), (stage.leader, T_leader)):
+            if root is None:
+                continue
+            # What settled is the height; x, y and heading are the scenario's, whatever the
+            # settling did to them.
+            settled = root.pose(data)
+            if root is stage.leader or self._robot.base == "planar":
+                T[2, 3] = settled[2, 3]
+            if root is stage.root and any(effect.uneven for effect in self._robot.acting):
+                tilt = inverse(pose_on_ground(place_of(settled))) @ settled
+                T[:3, :3] = T[:3, :3] @ tilt[:3, :3]
+            root.put(data.qpos, T)
         data.qvel[:] = 0.0
         data.time = 0.0
         stage.rest()
@@ -503,9 +482,9 @@ class MujocoPlant(Plant):
         ctrl = self._ctrl[stage.at.ctrl].copy()
         contact, feet = self._contacts.touching(stage.data)
         act = stage.data.act[stage.at.act]
-        effects = tuple(
-            value for effect, actor in self._actors.rows for value in _row(effect, actor)
-        )
+        effects: list[float] = []
+        for effect, actor in self._actors.rows:
+            effects += _row(effect, actor)
         wind = stage.model.opt.wind.copy()
         tau = self._of_robot.motor_torque()
         return Truth(
@@ -521,7 +500,7 @@ class MujocoPlant(Plant):
             feet,
             act,
             wind,
-            effects,
+            tuple(effects),
             tau,
         )
 

@@ -22,6 +22,7 @@ from vstestbed.sim.render.image_sensor import ImageSensor
 from vstestbed.sim.render.pictures import bare_renderer, outside_view, servo_renderer
 from vstestbed.sim.render.still import StillView, half_tangents, pixels_per_radian
 from vstestbed.sim.scene.follow import FixedView, FollowCamera, Things
+from vstestbed.sim.scene.joint_chain import names_of
 from vstestbed.sim.scene.meshes import Pane, Solid, panes, solids, texels_of
 from vstestbed.sim.scene.overview import LEAST_REACH
 from vstestbed.sim.scene.scene import Scene
@@ -105,7 +106,7 @@ class Replay:
     @property
     def cameras(self) -> list[str]:
         """Names of the cameras that pictures can be taken from."""
-        return [self._stage.model.camera(i).name for i in range(self._stage.model.ncam)]
+        return names_of(self._stage.model, "cam")
 
     def picture(
         self,
@@ -245,7 +246,7 @@ def _repaint(model: mujoco.MjModel) -> None:
     first = (floor == floor[0, 0]).all(axis=-1, keepdims=True)
     floor[:] = np.where(first, *np.array(FLOOR, np.uint8))
     # scenery may have brought its own
-    if any(model.texture(i).name == "sky" for i in range(model.ntex)):
+    if "sky" in names_of(model, "tex"):
         sky = texels_of(model, model.texture("sky").id)
         sky[:] = np.rint(sky * np.array(SKY)).astype(np.uint8)
     model.geom("floor").size[:2] = FLOOR_M

@@ -19,9 +19,8 @@ from vstestbed.core.quantity import Bounded, PositiveTime, TighterBounds, Time
 from vstestbed.core.spec import spec
 from vstestbed.imaging.exposure import ExposureControl
 
-LARGEST_STEP_S = (
-    0.002  # largest default step [s]; the arm's actuators are tuned and tested at 1 and 2 ms
-)
+# largest default step [s]; the arm's actuators are tuned and tested at 1 and 2 ms
+LARGEST_STEP_S = 0.002
 
 
 class _Shot(Protocol):

@@ -73,18 +73,15 @@ class Detector(Generic[M]):
     needs_truth: ClassVar[bool] = False  # it reads the ground truth: the oracle
     markers: ClassVar[tuple[str, ...]] = ()  # kinds of markers that it can detect; empty: any
     needs_sheet: ClassVar[bool] = False  # it finds the picture of a target `picture`
-    needs_goal: ClassVar[bool] = (
-        False  # it finds the goal picture's points, not the target's markers
-    )
-    draws: ClassVar[bool] = (
-        False  # `detect` draws from its generator, so that another seed gives other points
-    )
+    # it finds the goal picture's points, not the target's markers
+    needs_goal: ClassVar[bool] = False
+    # `detect` draws from its generator, so that another seed gives other points
+    draws: ClassVar[bool] = False
     # These without a type: a kind may have a field or a property in their place.
     rows: Any = None  # how many points it reports, where they are not the target's markers
     changing: Any = False  # its rows may come to show other points (`Detection.ids`)
-    fleeting: Any = (
-        False  # they do so in most pictures, so that nothing can be learnt of a point over time
-    )
+    # they do so in most pictures, so that nothing can be learnt of a point over time
+    fleeting: Any = False
 
     def init(self) -> Any:
         """The state before the first picture."""
@@ -147,26 +144,12 @@ def goal_of_points(goal: Goal, uv: Array) -> Goal:
     z = np.where(z > 0, z, np.nan)
     p = ray * (z / ray[:, 2])[:, None]
     known = np.isfinite(p[:, 0])
+    points = replace(goal, uv=uv, depth=p[:, 2], ray=ray, range=np.linalg.norm(p, axis=1))
     if np.count_nonzero(known) < 3:  # they span no plane
-        reach = np.where(known, np.linalg.norm(p, axis=1), np.nan)
-        return replace(
-            goal, uv=uv, depth=p[:, 2], ray=ray, range=reach, counted=known if len(uv) else None
-        )
-    full = made = Goal.of_picture(goal.camera, uv[known], p[known], goal.T_camera_target)
-    counted = None
-    if not known.all():
-        full = made.rows(np.where(known, np.cumsum(known) - 1, -1))
-        counted = known
-    return replace(
-        goal,
-        uv=uv,
-        depth=full.depth,
-        ray=ray,
-        range=full.range,
-        middle=made.middle,
-        normal=made.normal,
-        counted=counted,
-    )
+        return replace(points, counted=known if len(uv) else None)
+    made = Goal.of_picture(goal.camera, uv[known], p[known], goal.T_camera_target)
+    counted = None if known.all() else known
+    return replace(points, middle=made.middle, normal=made.normal, counted=counted)
 
 
 def points_of(goal: Goal) -> Array:
@@ -212,10 +195,9 @@ def windows_round(
         panels: index of the camera's panel in which each object is; None: of a camera with one
             panel, in others it is None.
     """
-    if panels is None:
-        if len(camera.panels) > 1:
-            return None
-        panels = [0] * len(boxes)
+    if panels is None and len(camera.panels) > 1:
+        return None
+    panels = panels or [0] * len(boxes)
     out: list[Window] = []
     for box, move, panel in zip(boxes, moves, panels, strict=True):
         window = window_round(box, move, camera.panels[panel].lens, margin) if box else None

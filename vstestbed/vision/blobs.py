@@ -419,12 +419,11 @@ def seen_from(
     """
     if other == panel:
         return blob, move
-    here = camera.panels[panel]
     there = camera.panels[other]
     left, top, right, bottom = (side - 0.5 for side in blob.box)
     corners = [(left, top), (right, top), (left, bottom), (right, bottom)]
     px = np.array([(blob.u, blob.v), (blob.u + move[0], blob.v + move[1]), *corners])
-    uv = there.lens.project(here.lens.ray(px) @ here.R_camera_panel.T @ there.R_camera_panel)
+    uv = there.project(camera.panels[panel].ray(px))
     if not (np.isfinite(uv).all() and there.lens.inside(uv[1:2]).all()):
         return None
     left, top = np.floor(uv[2:].min(axis=0) + 0.5).astype(int).tolist()
@@ -443,7 +442,7 @@ def _slack(blob: Blob, move: Move, lens: Camera) -> float:
     return min(left + du, top + dv, lens.width - right - du, lens.height - bottom - dv)
 
 
-def largest(found: list[tuple[int, Blob]], camera: Camera) -> tuple[int, Blob] | None:
+def largest(found: list[Positioned], camera: Camera) -> Found:
     """Of the blobs of one hue, each with its panel, the largest, blobs that are not cut first; in
     panels by solid angle.
 
@@ -452,23 +451,21 @@ def largest(found: list[tuple[int, Blob]], camera: Camera) -> tuple[int, Blob] |
     """
     if len(camera.panels) == 1 or not found:
         return max(found, key=lambda f: (f[1].whole, f[1].area), default=None)
-    rays = [camera.panels[p].lens.ray(np.array([[b.u, b.v]]))[0] for p, b in found]
-    cosine = [float(ray[2]) for ray in rays]
-    best = max(
-        range(len(found)), key=lambda i: (found[i][1].whole, found[i][1].area * cosine[i] ** 3)
-    )
-    in_camera = [
-        camera.panels[p].R_camera_panel @ ray for (p, _), ray in zip(found, rays, strict=True)
-    ]
-    panel, blob = found[best]
-    same = [
-        i
-        for i, (p, b) in enumerate(found)
-        if p != panel
-        and b.whole == blob.whole
-        and in_camera[i] @ in_camera[best] > SAME_MARKER_COSINE
-    ]
-    return found[max([*same, best], key=lambda i: cosine[i])]
+    rays = [camera.panels[p].ray(np.array([b.u, b.v])) for p, b in found]
+    cosines: list[float] = []
+    ranks: list[tuple[bool, float]] = []
+    for (p, blob), ray in zip(found, rays, strict=True):
+        cosine = float(ray @ camera.panels[p].R_camera_panel[:, 2])
+        cosines.append(cosine)
+        ranks.append((blob.whole, blob.area * cosine**3))
+    best = ranks.index(max(ranks))
+    panel, most = found[best]
+    same: list[int] = []
+    for i, (p, blob) in enumerate(found):
+        alike = p != panel and blob.whole == most.whole
+        if alike and rays[i] @ rays[best] > SAME_MARKER_COSINE:
+            same.append(i)
+    return found[max([*same, best], key=lambda i: cosines[i])]
 
 
 # From blobs to marker centres: perspective bias corrected, blobs that do not fit the pose rejected.
@@ -499,16 +496,12 @@ class MarkerFit:
         self._target = target
         self._tolerance = area_tolerance
         self._edge = edge
-        # The panels in which markers are, each with which they are: all (a slice, which is
-        # quicker), or (N,) bool.
-        self._of: list[tuple[Panel, slice | NDArray[np.bool_]]] | None = None
+        # The panels in which markers are, each with which they are, (N,) bool; None for a camera
+        # with one panel, its own picture.
+        self._of: list[tuple[Panel, NDArray[np.bool_]]] | None = None
         if len(camera.panels) > 1:
             of = np.array(panels)
-            used = set(panels)
-            self._of = [
-                (camera.panels[panel], of == panel if len(used) > 1 else slice(None))
-                for panel in used
-            ]
+            self._of = [(camera.panels[panel], of == panel) for panel in set(panels)]
         self.outliers = np.zeros(len(target.points), dtype=bool)
         """Which blobs are no markers of this target: they lie far from where the pose of the others
         predicts them, (N,).
@@ -659,7 +652,7 @@ class MarkerFit:
             return self._camera.ray(uv)
         rays = np.empty((len(uv), 3))
         for panel, mine in self._of:
-            rays[mine] = panel.lens.ray(uv[mine]) @ panel.R_camera_panel.T
+            rays[mine] = panel.ray(uv[mine])
         return rays
 
     def _pose(self, uv: Array, area: Array, previous: Array | None) -> Array | None:
@@ -667,14 +660,10 @@ class MarkerFit:
         None with fewer than three.
         """
         seen = np.isfinite(uv[:, 0])
-        n = int(np.count_nonzero(seen))
-        if n < 3:
+        rays = self._rays(uv)[seen]
+        points = self._target.points[seen]
+        if len(points) < 3:
             return None
-        rays = self._rays(uv)
-        points = self._target.points
-        if n < len(seen):
-            rays = rays[seen]
-            points = points[seen]
         if len(points) == 3 and previous is None:
             return self._first_of_three(rays, area)
         return solve_pose_from_rays(rays, points, previous)
@@ -887,7 +876,7 @@ class Blobs(DetectorBase):
             [f for f in everywhere if self._has_hue(f[1], hue, target)] for hue in target.hues_deg
         ]
         if len(camera.panels) == 1 and max(map(len, by_marker)) > 1:
-            return list(assign_blobs(by_marker, camera, target, state.T_camera_target))
+            return assign_blobs(by_marker, camera, target, state.T_camera_target)
         return [largest(some, camera) for some in by_marker]
 
     def _has_hue(self, blob: Blob, hue_deg: float, target: Target) -> bool:

@@ -70,7 +70,7 @@ def chroma(image: Image) -> Image:
     """
     r, g, b = cv2.split(image)
     high = cv2.max(cv2.max(r, g), b)
-    return np.asarray(cv2.subtract(high, cv2.min(cv2.min(r, g), b)), np.uint8)
+    return cv2.subtract(high, cv2.min(cv2.min(r, g), b))
 
 
 def noise_rows(height: int) -> range:
@@ -103,9 +103,7 @@ def chroma_mask(image: Image, threshold: int) -> Image:
     """
     height, width = image.shape[:2]
     if height * width <= STRIP_PX:
-        return np.asarray(
-            cv2.threshold(chroma(image), threshold, 255, cv2.THRESH_BINARY)[1], np.uint8
-        )
+        return cv2.threshold(chroma(image), threshold, 255, cv2.THRESH_BINARY)[1]
     mask = np.empty((height, width), np.uint8)
     rows = max(1, STRIP_PX // width)
     # reused for each strip; `chroma` would allocate six images
@@ -166,7 +164,7 @@ def find_blobs(regions: Sequence[Region], threshold: int, least_area: float) -> 
             filled = cv2.drawContours(
                 np.zeros((h, w), np.uint8), [contour], 0, 255, cv2.FILLED, offset=(-x, -y)
             )
-            alone = np.asarray(cv2.bitwise_and(alone, filled), np.uint8)
+            alone = cv2.bitwise_and(alone, filled)
         left = regions[i].window[0] + x - lefts[i]
         top = regions[i].window[1] + y
         blob = _blob(regions[i], alone, (left, top, left + w, top + h))
@@ -264,7 +262,7 @@ def _coverage(chroma: Image, alone: Image, rim: Rim) -> Image:
     edge = share if rim == "grey" else cv2.threshold(share, 127, 255, cv2.THRESH_BINARY)[1]
     edge = cv2.bitwise_and(edge, cv2.dilate(alone, _NEIGHBOURS))
     # Inside, away from the edge, coverage is full whatever the shading.
-    return np.asarray(cv2.max(edge, cv2.erode(alone, _NEIGHBOURS)), np.uint8)
+    return cv2.max(edge, cv2.erode(alone, _NEIGHBOURS))
 
 
 def _noisy_coverage(part: Image, found: Image, rim: Rim) -> NDArray[np.float32]:
@@ -297,4 +295,4 @@ def _smoothed(image: Image) -> Image:
     """The image filtered by the binomial kernel (1, 2, 1)/4 in both directions, which leaves 3/8 of
     white noise.
     """
-    return np.asarray(cv2.GaussianBlur(image, (3, 3), 0), np.uint8)
+    return cv2.GaussianBlur(image, (3, 3), 0)

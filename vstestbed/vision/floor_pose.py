@@ -8,9 +8,9 @@ import math
 
 import numpy as np
 
-from vstestbed.core.geometry import Array, inverse, lengths, transform
+from vstestbed.core.geometry import Array, inverse, transform
 from vstestbed.core.planar import place_of, pose_on_ground, wrapped
-from vstestbed.vision.pnp import AT_THE_LENS
+from vstestbed.vision.pnp import angular_errors
 
 ROUNDS = 12  # most Gauss-Newton steps; three or four suffice from the pose a frame ago
 SETTLED = 1e-10  # converged when a step is smaller than this [m, rad]
@@ -64,8 +64,6 @@ def _by_height(d: Array, points: Array, origin: Array) -> Array | None:
     usable = (np.abs(d[:, 2]) > LEVEL) & (height * d[:, 2] > 0)
     if not usable.any():
         return None
-    if usable.all():
-        usable = slice(None)  # views, where a mask would copy
     here = origin[:2] + d[usable, :2] / d[usable, 2:] * height[usable, None]
     there = points[usable, :2]
     middle = np.add.reduce(here) / len(here)
@@ -114,8 +112,6 @@ def _errors(
     p[:, 1] = -s * x + c * y
     p[:, 2] = points[:, 2]
     p -= origin
-    reach = np.maximum(lengths(p), AT_THE_LENS)
-    unit = p / reach
     dp = np.zeros((len(points), 3, 3))
     dp[:, 0, 0] = -c
     dp[:, 0, 1] = -s
@@ -123,12 +119,11 @@ def _errors(
     dp[:, 1, 1] = -c
     dp[:, 0, 2] = p[:, 1] + origin[1]
     dp[:, 1, 2] = -p[:, 0] - origin[0]
-    dunit = (dp - unit[:, :, None] * (unit[:, None] @ dp)) / reach[:, :, None]
-    e = (across @ unit[:, :, None])[..., 0]
+    unit, e, J = angular_errors(across, p, dp)
     behind = np.add.reduce(unit * d, axis=1) < 0
     if behind.any():  # the orthogonal component is small there too
         e[behind] = np.sign(unit[behind])
-    return e.ravel(), (across @ dunit).reshape(-1, 3)
+    return e.ravel(), J.reshape(-1, 3)
 
 
 def pose_on_floor(
@@ -140,13 +135,13 @@ def pose_on_floor(
     As `solve_place`, with points (n, 3) in the target's frame [m], and T_camera_target predicted
     (4, 4) or None.
     """
-    before = (
-        None if predicted is None else place_of(T_world_target @ inverse(T_base_camera @ predicted))
-    )
+    before = None
+    if predicted is not None:
+        before = place_of(T_world_target @ inverse(T_base_camera @ predicted))
     place = solve_place(rays, transform(T_world_target, points), T_base_camera, before)
-    return (
-        None if place is None else inverse(pose_on_ground(place) @ T_base_camera) @ T_world_target
-    )
+    if place is None:
+        return None
+    return inverse(pose_on_ground(place) @ T_base_camera) @ T_world_target
 
 
 # Planar pose of a ground vehicle: odometry, corrected by a compass and by landmarks (complementary
@@ -187,12 +182,10 @@ def fused_place(
     if known is None:
         return None
     heading = float(known[2])
-    if compass is not None:
-        heading = (
-            compass
-            if predicted is None
-            else float(predicted[2] + gains[0] * wrapped(compass - predicted[2]))
-        )
+    if compass is not None and predicted is not None:
+        heading = float(predicted[2] + gains[0] * wrapped(compass - predicted[2]))
+    elif compass is not None:
+        heading = compass
     if T_map_camera is None:
         return np.array([known[0], known[1], heading])
     lever = pose_on_ground(np.array([0.0, 0.0, heading])) @ T_base_camera[:, 3]

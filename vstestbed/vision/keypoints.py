@@ -27,8 +27,8 @@ from vstestbed.vision.local_features import (
     Features,
     Matcher,
     Sift,
+    brightness,
     extracted,
-    grey,
     matched,
     mutual_matches,
 )
@@ -104,12 +104,12 @@ def followed(klt: Klt, before: NDArray[np.uint8], now: NDArray[np.uint8], uv: Ar
     return out
 
 
-Pairs = tuple[Array, Array]  # places (M, 2) in the goal's picture and in this one [px]
+Pairs = Array  # places in the goal's picture and in this one, (2, M, 2) [px]
 
 
 def those(pairs: Pairs, which: NDArray[np.bool_], first: int) -> tuple[Pairs, int]:
     """The pairs for which `which` (M,) holds, and how many of the first ones are among them."""
-    return (pairs[0][which], pairs[1][which]), int(np.count_nonzero(which[:first]))
+    return pairs[:, which], int(np.count_nonzero(which[:first]))
 
 
 # Places of matches below a pixel: each point's patch of the goal's picture, laid over this one.
@@ -126,7 +126,7 @@ def smooth(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
     """A picture (H, W) as `refined` takes it: not filtered, interpolation between pixels would add
     a bias.
     """
-    return np.asarray(cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 0.8), np.float32)
+    return cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 0.8)
 
 
 def refined(
@@ -220,9 +220,8 @@ def _normalised(patches: Array) -> tuple[Array, Array]:
 
 # The homography between two views of one plane, robust against wrong matches, for any lens with one
 # image.
-LEAST_INLIERS = (
-    8  # a homography has eight unknowns; one that fewer pairs agree with may be a chance
-)
+# a homography has eight unknowns; one that fewer pairs agree with may be a chance
+LEAST_INLIERS = 8
 
 
 def map_derivatives(camera: Camera, H: Array, uv_goal: Array) -> Array:
@@ -268,7 +267,7 @@ def planar_map(
     agree = np.zeros(len(a), dtype=bool)
     agree[usable] = mask.ravel() > 0
     # Its sign is the one that leaves the points in front of the camera.
-    H = np.asarray(H, float) / np.array([[1, 1, f], [1, 1, f], [1 / f, 1 / f, 1]])
+    H = H / np.array([[1, 1, f], [1, 1, f], [1 / f, 1 / f, 1]])
     ahead = homogeneous(a[agree]) @ H[2]
     return H * np.sign(np.median(ahead)), agree
 
@@ -342,6 +341,11 @@ class Slots:
     def taken(self) -> NDArray[np.bool_]:
         """Which rows have a point (K,)."""
         return self.ids >= 0
+
+    @property
+    def pairs(self) -> Pairs:
+        """The places of the points in both pictures."""
+        return np.stack([self.uv_goal, self.uv])[:, self.taken]
 
     def placed(self, uv_goal: Array, uv: Array) -> Slots:
         """The rows with these M <= K points (M, 2) in place of the present ones.
@@ -503,7 +507,9 @@ class Keypoints(DetectorBase):
             if usable < self._matching:
                 raise ParameterError("detector.features", self._too_few(len(uv), usable))
             learned = uv[there], descriptors[there]
-        return KeypointsState(goal, learned, smooth(grey(goal.image.image)), Slots.empty(self.best))
+        return KeypointsState(
+            goal, learned, smooth(brightness(goal.image.image)), Slots.empty(self.best)
+        )
 
     @property
     def _matching(self) -> int:
@@ -514,11 +520,9 @@ class Keypoints(DetectorBase):
 
     def _too_few(self, found: int, usable: int) -> str:
         plane = self._matching > self.least
-        wanted = (
-            f"{self._matching} key points or more, as many as tell a plane,"
-            if plane
-            else f"least = {self.least} key points or more"
-        )
+        wanted = f"least = {self.least} key points or more"
+        if plane:
+            wanted = f"{self._matching} key points or more, as many as tell a plane,"
         words = f"must find {wanted} in the goal's picture: {self.features.kind} finds {found}"
         if found < self._matching:
             otherwise = ", or ransac: none" if plane and found >= self.least else ""
@@ -562,19 +566,17 @@ class Keypoints(DetectorBase):
             raise ParameterError.missing("picture", "detector keypoints needs one whole picture")
         if not isinstance(state, KeypointsState):
             raise ParameterError.fixed("state", "that of `begin`, which learns the goal's picture")
-        dim = grey(image)
+        dim = brightness(image)
         slots = self._followed(state, dim, camera)
         since = state.since + 1
         why = ""
         if slots is None or self._due(slots, since):
-            kept = None
-            if slots is not None:
-                kept = slots.uv_goal[slots.taken], slots.uv[slots.taken]
+            kept = np.empty((2, 0, 2)) if slots is None else slots.pairs
             pairs = self._matches(state, image, target)
             found, agreeing = self._chosen(state, pairs, kept, dim, camera)
             slots = state.slots.placed(*found)
             since = 0
-            why = self._why(len(pairs[0]), agreeing, len(found[0]))
+            why = self._why(pairs.shape[1], agreeing, found.shape[1])
         if np.count_nonzero(slots.taken) < self.least:
             # its points: a law that coasts knows what it saw there
             slots = replace(state.slots, uv=np.full(slots.uv.shape, np.nan))
@@ -615,14 +617,14 @@ class Keypoints(DetectorBase):
             return None
         slots = state.slots.moved(followed(self.track, state.last, dim, state.slots.uv))
         there = slots.taken
-        pairs = slots.uv_goal[there], slots.uv[there]
+        pairs = slots.pairs
         found = self._plane(camera, pairs)
         agree = self._agreeing(camera, pairs, found)
         uv = slots.uv.copy()
         if agree is not None:  # with too few for a plane or a motion, those that were followed stay
             uv[np.flatnonzero(there)[~agree]] = np.nan
         if found is not None and self.subpixel:
-            uv[there] = self._refined(state, slots.uv_goal[there], uv[there], dim, camera, found[0])
+            uv[there] = self._refined(state, pairs[0], uv[there], dim, camera, found[0])
         return slots.moved(uv)
 
     def _plane(self, camera: Camera, pairs: Pairs) -> tuple[Array, NDArray[np.bool_]] | None:
@@ -630,7 +632,7 @@ class Keypoints(DetectorBase):
         one.
         """
         if self.ransac == "homography" or self.subpixel:
-            return planar_map(camera, *pairs, self.ransac_px)
+            return planar_map(camera, pairs[0], pairs[1], self.ransac_px)
         return None
 
     def _agreeing(
@@ -640,41 +642,39 @@ class Keypoints(DetectorBase):
         if self.ransac == "none":
             return np.ones(len(pairs[0]), dtype=bool)
         if self.ransac == "essential":
-            return of_one_motion(camera, *pairs, self.ransac_px)
+            return of_one_motion(camera, pairs[0], pairs[1], self.ransac_px)
         return None if plane is None else plane[1]
 
     def _matches(self, state: KeypointsState, image: Image, target: Target) -> Pairs:
         if self._extractor is not None and state.learned is not None:
             uv, descriptors = extracted(self._extractor, image)
             i, j, _ = mutual_matches(state.learned[1], descriptors, self.ratio)
-            return state.learned[0][i], uv[j]
+            return np.stack([state.learned[0][i], uv[j]])
         assert state.goal.image is not None
         uv_goal, uv, distance = matched(cast(Matcher, self.features), state.goal.image.image, image)
         order = np.argsort(distance, kind="stable")
         order = order[self._usable(state.goal, target, uv_goal)[order]]
-        return uv_goal[order], uv[order]
+        return np.stack([uv_goal, uv])[:, order]
 
     def _chosen(
-        self, state: KeypointsState, pairs: Pairs, kept: Pairs | None, dim: Image, camera: Camera
+        self, state: KeypointsState, pairs: Pairs, kept: Pairs, dim: Image, camera: Camera
     ) -> tuple[Pairs, int]:
         """The pairs that are reported: those that were followed, then others by distance or spread;
         and how many there were to choose.
         """
-        first = 0 if kept is None else len(kept[0])
-        if kept is not None:
-            new = ~(pairs[0][:, None] == kept[0]).all(axis=2).any(axis=1)
-            uv_goal = np.concatenate([kept[0], pairs[0][new]])
-            pairs = uv_goal, np.concatenate([kept[1], pairs[1][new]])
+        first = kept.shape[1]
+        new = ~(pairs[0][:, None] == kept[0]).all(axis=2).any(axis=1)
+        pairs = np.concatenate([kept, pairs[:, new]], axis=1)
         found = self._plane(camera, pairs)
         agree = self._agreeing(camera, pairs, found)
         if agree is None:
             agree = np.zeros(len(pairs[0]), dtype=bool)
         pairs, first = those(pairs, agree, first)
-        agreeing = len(pairs[0])
+        agreeing = pairs.shape[1]
         if found is None or not self.subpixel:
             return self._best(pairs, first, self.best), agreeing
         H = found[0]
-        uncut = whole(dim, *pairs, map_derivatives(camera, H, pairs[0]))
+        uncut = whole(dim, pairs[0], pairs[1], map_derivatives(camera, H, pairs[0]))
         pairs, first = those(pairs, uncut, first)
         return self._measured(state, pairs, first, dim, camera, H), agreeing
 
@@ -689,10 +689,10 @@ class Keypoints(DetectorBase):
         most = 4 * tried
         while True:
             some = self._best(pairs, first, tried)
-            uv = self._refined(state, *some, dim, camera, H)
+            uv = self._refined(state, some[0], some[1], dim, camera, H)
             there = np.flatnonzero(np.isfinite(uv[:, 0]))[: self.best]
             if len(there) == self.best or len(some[0]) < tried or tried >= most:
-                return some[0][there], uv[there]
+                return np.stack([some[0], uv])[:, there]
             tried *= 2
 
     def _best(self, pairs: Pairs, first: int, most: int) -> Pairs:
@@ -700,10 +700,8 @@ class Keypoints(DetectorBase):
         are among them.
         """
         if self.choose == "spread":
-            index = spread_out(pairs[0], most, first)
-        else:
-            index = np.arange(min(most, len(pairs[0])))
-        return pairs[0][index], pairs[1][index]
+            return pairs[:, spread_out(pairs[0], most, first)]
+        return pairs[:, :most]
 
     def _refined(
         self, state: KeypointsState, uv_goal: Array, uv: Array, dim: Image, camera: Camera, H: Array

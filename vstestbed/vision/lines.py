@@ -138,7 +138,7 @@ class Lines(DetectorBase):
         for k, strip in enumerate(strips):
             floor = _from_above(picture, strip)
             colour = chroma(floor)
-            hue = np.asarray(cv2.cvtColor(floor, cv2.COLOR_RGB2HSV)[..., 0], np.uint8)
+            hue = cv2.cvtColor(floor, cv2.COLOR_RGB2HSV)[..., 0]
             # Points are commanded line by line, each at all look-ahead distances: every
             # len(strips)-th is in this strip.
             for i in range(k, n, len(strips)):
@@ -215,7 +215,7 @@ def _strip(camera: Camera, ahead: float, reach: float) -> Strip:
     p = on_foot(mount, floor.astype(np.float64))
     maps = []
     for panel in camera.panels:
-        uv = panel.lens.project(p @ panel.R_camera_panel)
+        uv = panel.project(p)
         u, v = np.moveaxis(np.where(panel.lens.inside(uv)[..., None], uv, OUTSIDE), -1, 0)
         maps.append((np.ascontiguousarray(u, np.float32), np.ascontiguousarray(v, np.float32)))
     return Strip(row_m, column_m, lefts, tuple(maps))
@@ -230,5 +230,5 @@ def _from_above(picture: Picture, strip: Strip) -> Image:
         seen = cv2.remap(image, *maps, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, BACKDROP)
         if out is not None:
             seen = np.where((out == BACKDROP).all(axis=-1, keepdims=True), seen, out)
-        out = np.asarray(seen, np.uint8)
+        out = seen
     return np.full((*strip.maps[0][0].shape, 3), BACKDROP[0], np.uint8) if out is None else out

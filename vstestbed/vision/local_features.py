@@ -5,7 +5,6 @@ pictures by itself.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -100,7 +99,7 @@ class Sift(Extractor):
         sift = cv2.SIFT.create(
             nfeatures=self.most, contrastThreshold=self.contrast, enable_precise_upscale=True
         )
-        points, descriptors = sift.detectAndCompute(grey(image), None)
+        points, descriptors = sift.detectAndCompute(brightness(image), None)
         return _pixels(points), _rows(descriptors, 128, np.float32)
 
 
@@ -121,7 +120,7 @@ class Orb(Extractor):
     def extract(self, image: Image) -> tuple[Array, Descriptors]:
         """Key points (M, 2) [px] and descriptors (M, 32) uint8."""
         points, descriptors = cv2.ORB.create(self.most, ORB_SCALE).detectAndCompute(
-            grey(image), None
+            brightness(image), None
         )
         level = ORB_SCALE ** np.array([p.octave for p in points], dtype=float)
         # The centre of pixel k of a level is at (k + 1/2) scale - 1/2, and OpenCV gives k scale.
@@ -159,7 +158,7 @@ class Akaze(Extractor):
         """Key points (M, 2) [px] and descriptors (M, 61) uint8."""
         points, descriptors = self._create(
             threshold=self.threshold, max_points=self.most
-        ).detectAndCompute(grey(image), None)
+        ).detectAndCompute(brightness(image), None)
         return _pixels(points), _rows(descriptors, 61, np.uint8)
 
     @property
@@ -167,17 +166,17 @@ class Akaze(Extractor):
         return getattr(getattr(cv2, "xfeatures2d", None), "AKAZE_create", None)
 
 
-def grey(image: Image) -> NDArray[np.uint8]:
+def brightness(image: Image) -> NDArray[np.uint8]:
     """A picture's brightness (H, W) uint8."""
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
+    return cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
 
 
-def _pixels(points: Sequence[cv2.KeyPoint]) -> Array:
+def _pixels(points: Any) -> Array:
     return np.array([p.pt for p in points], dtype=float).reshape(-1, 2)
 
 
 def _rows(descriptors: Any, width: int, dtype: type) -> Descriptors:
-    return np.empty((0, width), dtype) if descriptors is None else np.asarray(descriptors)
+    return np.empty((0, width), dtype) if descriptors is None else descriptors
 
 
 def extracted(features: Extractor, image: Image) -> tuple[Array, Descriptors]:

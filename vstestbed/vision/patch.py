@@ -23,7 +23,7 @@ from vstestbed.features.observation import Goal
 from vstestbed.targets.base import Target
 from vstestbed.targets.picture import decoded
 from vstestbed.vision.base import Detection, DetectorBase, TruthView, windows_round
-from vstestbed.vision.local_features import Descriptors, Sift, mutual_matches
+from vstestbed.vision.local_features import Descriptors, Sift, brightness, mutual_matches
 from vstestbed.vision.pnp import looking_along
 
 # A picture on a plane as a template to track: its grey levels in several sizes, each with all that
@@ -31,9 +31,8 @@ from vstestbed.vision.pnp import looking_along
 GreyImage = NDArray[np.float32]
 
 LEAST_SIDE = 20  # shortest side of the smallest copy of a template [texel]
-BLOCKS = (
-    6  # blocks along a template's longer side, each of which is compared with the picture by itself
-)
+# blocks along a template's longer side, each of which is compared with the picture by itself
+BLOCKS = 6
 # standard deviation of a block's grey levels below which its correlation would be one of noise
 # alone
 FLAT = 6.0
@@ -75,10 +74,8 @@ class TemplateSize:
 
     def by_block(self, values: GreyImage) -> GreyImage:
         """Means of values (n,) over each block, (B,)."""
-        return np.asarray(
-            cv2.resize(values.reshape(self.grey.shape), self.blocks, interpolation=cv2.INTER_AREA),
-            np.float32,
-        ).ravel()
+        values = values.reshape(self.grey.shape)
+        return cv2.resize(values, self.blocks, interpolation=cv2.INTER_AREA).ravel()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,7 +106,7 @@ def template_of(path: Path, written_ns: int, width_m: float, most_texels: int) -
     largest copy has about `most_texels`.
     """
     image = decoded(path)
-    grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.float32)
+    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.float32)
     height, width = grey.shape
     longer = max(height, width)
     half = width / longer, height / longer
@@ -129,7 +126,7 @@ def _level(grey: GreyImage, size: tuple[int, int], half: tuple[float, float]) ->
     small = grey
     if size != grey.shape[::-1]:
         small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-    small = np.asarray(cv2.GaussianBlur(small, (0, 0), BLUR), np.float32)
+    small = cv2.GaussianBlur(small, (0, 0), BLUR)
     w, h = size
     texel = 2 * half[0] / w, 2 * half[1] / h
     u, v = np.meshgrid(np.arange(w), np.arange(h))
@@ -188,7 +185,7 @@ def _features(image: Image, half: tuple[float, float]) -> tuple[Array, Descripto
     w = round(width * share)
     h = round(height * share)
     small = cv2.cvtColor(cv2.resize(image, (w, h), interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2RGB)
-    px, descriptors = _sift().extract(np.asarray(small, np.uint8))
+    px, descriptors = _sift().extract(small)
     return ((px + 0.5) / [w, h] * 2 - 1) * half, descriptors
 
 
@@ -212,9 +209,7 @@ class GreyPicture:
             if image is None:
                 continue
             left, top, right, bottom = window or (0, 0, image.shape[1], image.shape[0])
-            part = np.ascontiguousarray(image[top:bottom, left:right])
-            grey = np.asarray(cv2.cvtColor(part, cv2.COLOR_RGB2GRAY), np.float32)
-            self._sizes[k] = [grey]
+            self._sizes[k] = [brightness(image[top:bottom, left:right]).astype(np.float32)]
             self._begin[k] = np.array([left, top], float)
 
     def sampled(self, rays: Array, shape: tuple[int, int], halvings: int) -> GreyImage:
@@ -234,10 +229,8 @@ class GreyPicture:
         if (k, halvings) not in self._smooth:
             sizes = self._sizes[k]
             while len(sizes) <= halvings:
-                sizes.append(np.asarray(cv2.pyrDown(sizes[-1]), np.float32))
-            self._smooth[k, halvings] = np.asarray(
-                cv2.GaussianBlur(sizes[halvings], (0, 0), BLUR), np.float32
-            )
+                sizes.append(cv2.pyrDown(sizes[-1]))
+            self._smooth[k, halvings] = cv2.GaussianBlur(sizes[halvings], (0, 0), BLUR)
         image = self._smooth[k, halvings]
         begin = self._begin[k]
         lens = self.camera.panels[k].lens
@@ -246,7 +239,7 @@ class GreyPicture:
         ahead = turned[2] @ [[0, w - 1, 0, w - 1], [0, 0, h - 1, h - 1], [1, 1, 1, 1]]
         if isinstance(lens, Perspective) and not lens.resampled and ahead.min() > 0:
             to_part = np.array([[1, 0, -begin[0]], [0, 1, -begin[1]], [0, 0, 2**halvings]])
-            found = cv2.warpPerspective(
+            return cv2.warpPerspective(
                 image,
                 to_part @ lens.K @ turned,
                 (w, h),
@@ -254,14 +247,12 @@ class GreyPicture:
                 borderMode=cv2.BORDER_CONSTANT,
                 borderValue=np.nan,
             )
-            return np.asarray(found, np.float32)
         at = (lens.project(_grid(shape) @ turned.T) - begin) / 2**halvings
         at = np.nan_to_num(at.astype(np.float32), nan=OUTSIDE)
-        u, v = np.ascontiguousarray(np.moveaxis(at, -1, 0))
-        found = cv2.remap(
+        u, v = np.moveaxis(at, -1, 0)
+        return cv2.remap(
             image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan
         )
-        return np.asarray(found, np.float32)
 
 
 @lru_cache(maxsize=16)
@@ -280,7 +271,7 @@ def pixels_per_unit(camera: Camera, G: Array, half: tuple[float, float]) -> floa
     rays = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3) @ G.T
     areas: list[float] = []
     for panel in camera.panels:
-        uv = panel.lens.project(rays @ panel.R_camera_panel).reshape(len(GRID), len(GRID), 2)
+        uv = panel.project(rays).reshape(len(GRID), len(GRID), 2)
         a = uv[1:, 1:] - uv[:-1, :-1]
         b = uv[1:, :-1] - uv[:-1, 1:]
         area = np.abs(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]) / 2
@@ -345,8 +336,10 @@ def align(
     References: Benhimane & Malis 2007, doi:10.1177/0278364907080252; Malis & Marchand 2006,
     doi:10.1109/IROS.2006.281831 (weights).
     """
-    visible = 0.0
     sizes = _sizes(template, picture, G)
+    if not sizes:
+        return None
+    visible = 0.0
     # most iterations, on the smallest copy first
     for size, rounds in zip(sizes, (12, 8, 8)[-len(sizes) :], strict=True):
         # They end when no corner moves by more than this in the picture [px]; in the smaller copies
@@ -356,7 +349,7 @@ def align(
         if found is None:
             return None
         G, (_, _, visible) = found
-    return G if sizes and visible >= least_visible else None
+    return G if visible >= least_visible else None
 
 
 def similarity(
@@ -575,7 +568,7 @@ def _matched(image: Image, panel: Panel, template: Template) -> tuple[Array, NDA
     """
     px, descriptors = _sift().extract(image)
     mine, number, _ = mutual_matches(descriptors, template.features[1], ratio=0.8)
-    rays = panel.lens.ray(px[mine]) @ panel.R_camera_panel.T
+    rays = panel.ray(px[mine])
     known = np.isfinite(rays).all(axis=1)
     return rays[known], number[known]
 

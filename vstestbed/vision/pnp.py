@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable
 from functools import cache, lru_cache
 from itertools import combinations, permutations, product
-from typing import TYPE_CHECKING, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -16,11 +16,7 @@ from vstestbed.core.geometry import Array, exp, inverse, lengths, skew, turn_bet
 from vstestbed.core.lazy import cv2
 from vstestbed.vision.homography import homography
 
-if TYPE_CHECKING:
-    from cv2.typing import MatLike
-
 __all__ = [
-    "AT_THE_LENS",
     "looking_along",
     "solve_pose",
     "solve_pose_from_rays",
@@ -183,6 +179,18 @@ def _placed(rays: Array, points: Array, R: Array) -> Array:
     return T
 
 
+def angular_errors(across: Array, p: Array, dp: Array) -> tuple[Array, Array, Any]:
+    """Unit vectors (N, 3) along points p (N, 3), their components across rays (N, 3), and the
+    Jacobian (N, 3, k) of these by the k numbers of which dp (N, 3, k) is that of p.
+
+    across: I - d d^T of each ray d (N, 3, 3).
+    """
+    reach = np.maximum(lengths(p), AT_THE_LENS)
+    unit = p / reach
+    dunit = (dp - unit[:, :, None] * (unit[:, None] @ dp)) / reach[:, :, None]
+    return unit, (across @ unit[:, :, None])[..., 0], across @ dunit
+
+
 def _refined(rays: Array, points: Array, T: Array) -> tuple[Array, float]:
     """The pose after Gauss-Newton on SE(3) from T, T <- exp(x) T, and the root mean square of its
     angles [rad].
@@ -191,15 +199,12 @@ def _refined(rays: Array, points: Array, T: Array) -> tuple[Array, float]:
     error = math.inf
     for _ in range(ROUNDS):
         p = points @ T[:3, :3].T + T[:3, 3]
-        reach = np.maximum(np.linalg.norm(p, axis=1), AT_THE_LENS)
-        unit = p / reach[:, None]
-        cosine = np.sum(unit * rays, axis=1)
-        e = (across @ unit[:, :, None])[..., 0]
-        error = math.sqrt(float(np.mean(np.arccos(np.clip(cosine, -1, 1)) ** 2)))
         dp = np.concatenate([np.broadcast_to(np.eye(3), (len(p), 3, 3)), -skew(p)], axis=2)
-        dunit = (dp - unit[:, :, None] * (unit[:, None] @ dp)) / reach[:, None, None]
+        unit, e, J = angular_errors(across, p, dp)
+        cosine = np.sum(unit * rays, axis=1)
+        error = math.sqrt(float(np.mean(np.arccos(np.clip(cosine, -1, 1)) ** 2)))
         # Least squares of minimum norm: directions that the markers leave open do not move.
-        x = np.linalg.lstsq((across @ dunit).reshape(-1, 6), -e.ravel(), rcond=1e-9)[0]
+        x = np.linalg.lstsq(J.reshape(-1, 6), -e.ravel(), rcond=1e-9)[0]
         size = float(np.abs(x).max())
         # steps are limited to a unit and 1 rad, beyond which the linearisation is void
         T = exp(x / max(1.0, size)) @ T
@@ -335,7 +340,9 @@ def solve_pose_from_rays(rays: Array, points: Array, previous: Array | None = No
     xy, T = view
     if T is None:
         return solve_pose(xy, points, previous)
-    found = solve_pose(xy, points, None if previous is None else inverse(T) @ previous)
+    if previous is not None:
+        previous = inverse(T) @ previous
+    found = solve_pose(xy, points, previous)
     return None if found is None else T @ found
 
 
@@ -450,7 +457,7 @@ def _step(T: Array, previous: Array, points: Array) -> float:
     return turn_between(T, previous) + math.dist(now, before) / math.hypot(*now[:3])
 
 
-def _matrix(rotation_vector: MatLike, translation: MatLike) -> Array:
+def _matrix(rotation_vector: Array, translation: Array) -> Array:
     T = _EYE.copy()
     T[:3, :3] = cv2.Rodrigues(rotation_vector)[0]
     T[:3, 3:] = translation

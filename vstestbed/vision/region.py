@@ -7,7 +7,7 @@ from __future__ import annotations
 import colorsys
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
@@ -30,9 +30,6 @@ from vstestbed.vision.colour import (
     noise_level,
     with_surroundings,
 )
-
-if TYPE_CHECKING:
-    from cv2.typing import MatLike
 
 REACH = 2  # pixels to each side of the border that are added up
 NEIGHBOURS = np.ones((3, 3), np.uint8)
@@ -64,7 +61,7 @@ def coverage(part: Image, alone: NDArray[np.uint8]) -> NDArray[np.float32]:
     return out
 
 
-def _mean_near(part: Image, which: MatLike, at: NDArray[np.bool_]) -> NDArray[np.float32]:
+def _mean_near(part: Image, which: Image, at: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Mean colours (K, 3) of the pixels of `which` (255 there) near each of K pixels `at`; where
     there are none, of all of them.
     """
@@ -135,9 +132,8 @@ def _crossings(c: NDArray[np.float32], steep: NDArray[np.bool_]) -> Array:
 # between them.
 TURNS = 36  # rotations that are tried where none is known: every 10 degrees
 ROUNDS = 12  # most Gauss-Newton steps: from the affine guess three to six are enough
-SETTLED = (
-    1e-5  # a step that moves no point by more than this share of the region's size ends the fit
-)
+# a step that moves no point by more than this share of the region's size ends the fit
+SETTLED = 1e-5
 # points farther than so many times the usual distance from the polygon (but at least FAINT) have no
 # weight
 OUTLIER = 4.0
@@ -314,16 +310,6 @@ class Border:
         """Standard deviation of the region's pixels, the geometric mean of both axes [px]."""
         return math.sqrt(math.sqrt(max(float(np.linalg.det(self.spread)), 0.0)))
 
-    def rays(self, uv: Array) -> Array:
-        """Unit rays (K, 3) in the camera's frame of pixels (K, 2) of the panel."""
-        return self.panel.lens.ray(uv) @ self.panel.R_camera_panel.T
-
-    def project(self, p: Array) -> Array:
-        """Pixels (K, 2) of the panel of directions (K, 3) in the camera's frame; NaN where its lens
-        does not see one.
-        """
-        return self.panel.lens.project(p @ self.panel.R_camera_panel)
-
 
 @dataclass(frozen=True, slots=True)
 class OutlineFit:
@@ -352,7 +338,7 @@ def fit_outline(
         turn: the rotation in the last picture [rad]; None where it is to be sought all round.
         expected: the rotation that is taken where several fit alike [rad].
     """
-    rays = border.rays(border.edge)
+    rays = border.panel.ray(border.edge)
     corners = target.figure_corners
     if corners is None:
         found = target.round_outline(rays)
@@ -365,7 +351,7 @@ def fit_outline(
         return None
     xy = rays[:, :2] / rays[:, 2:]
     # normalised coordinates of the region's centroid, and their derivative by pixels
-    near = border.rays(border.middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
+    near = border.panel.ray(border.middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
     m = near[:, :2] / near[:, 2:]
     J = (m[1:] - m[0]).T
     turns = () if turn is None else (turn,)
@@ -547,7 +533,7 @@ class RegionDetector(DetectorBase):
                 continue  # Beyond an edge of the window, or the image's border, it may go on.
             left = window[0] + x
             top = window[1] + y
-            alone = np.asarray(255 * (labels[y : y + h, x : x + w] == label), np.uint8)
+            alone = cv2.inRange(labels[y : y + h, x : x + w], label, label)
             part = image[top : top + h, left : left + w]
             if not self._has_hue(part, alone, target.hues_deg[0]):
                 continue
@@ -597,7 +583,7 @@ class RegionDetector(DetectorBase):
             # One more against whole pixels: outlines that were right, sharp, blurred over up to 8
             # px or under noise, then had under 0.015 of their length farther from the region's
             # pixels.
-            bare = bare_share(border.project(fit.close) - (left, top), found, tolerance + 1.0)
+            bare = bare_share(panel.project(fit.close) - (left, top), found, tolerance + 1.0)
             off = float(np.mean(fit.off_px > tolerance))
             if max(off, bare) <= self.hidden_share:
                 return box, middle, fit

@@ -9,13 +9,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import compress
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
 from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, Picture, Regions, Window
+from vstestbed.camera import Camera, Image, Picture, Regions, Window
 from vstestbed.core.geometry import Array
 from vstestbed.core.lazy import cv2
 from vstestbed.core.quantity import PositivePixels
@@ -23,7 +23,7 @@ from vstestbed.core.spec import spec
 from vstestbed.targets.base import Target
 from vstestbed.targets.markers import Marker, Tag
 from vstestbed.vision.base import Detection, DetectorBase, Move, TruthView, windows_round
-from vstestbed.vision.colour import Image
+from vstestbed.vision.local_features import brightness
 from vstestbed.vision.pnp import solve_pose_from_rays
 
 # Subpixel corners of tags: the four edges measured in the grey image and intersected, good to
@@ -82,7 +82,7 @@ def _measured_once(grey: Image, corners: Array, modules: int) -> Edges:
     where = (middle[..., None, :] + ACROSS[:, None] * reach[..., None, :]).astype(np.float32)
     u, v = np.moveaxis(where.reshape(1, -1, 2), -1, 0)
     profile = cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    profile = np.asarray(profile, float).reshape(where.shape[:-1])
+    profile = profile.astype(float).reshape(where.shape[:-1])
     # The edge's place in each profile, from -1 at its inner to 1 at its outer end, and the step's
     # height.
     black = profile[..., :ENDS].mean(axis=-1)
@@ -160,7 +160,7 @@ PX_PER_MODULE = 16
 
 
 @lru_cache
-def dictionary(family: str) -> cv2.aruco.Dictionary:
+def dictionary(family: str) -> Any:
     """OpenCV's dictionary of a family of tags."""
     kind, _, name = family.partition("_")
     word = f"DICT_APRILTAG_{name}" if kind == "apriltag" else f"DICT_{name.upper()}"
@@ -172,7 +172,7 @@ def tag_picture(tag: Tag, number: int, px: int = PX_PER_MODULE) -> NDArray[np.ui
     (modules + 2),) * 2.
     """
     black = cv2.aruco.generateImageMarker(dictionary(tag.family), number, tag.modules * px)
-    return np.pad(np.asarray(black, np.uint8), px, constant_values=255)
+    return np.pad(black, px, constant_values=255)
 
 
 def printed(marker: Marker, i: int) -> tuple[str, bytes]:
@@ -348,10 +348,7 @@ def _moves(state: TagsState, corners: Sequence[Array | None]) -> tuple[Move, ...
 
 
 def _greys(picture: Picture) -> list[Image | None]:
-    return [
-        None if image is None else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
-        for image in picture.images
-    ]
+    return [None if image is None else brightness(image) for image in picture.images]
 
 
 def _read(grey: Image, window: Window, tag: Tag, n: int, misread: int) -> dict[int, Array]:
@@ -365,8 +362,8 @@ def _read(grey: Image, window: Window, tag: Tag, n: int, misread: int) -> dict[i
     rough: dict[int, Array] = {}
     if markers is None:
         return rough
-    for quad, marker in zip(quads, np.asarray(markers, int).ravel().tolist(), strict=True):
-        corners = np.asarray(quad, float).reshape(4, 2)
+    for quad, marker in zip(quads, markers.ravel().tolist(), strict=True):
+        corners = quad.reshape(4, 2).astype(float)
         out = corners - corners.mean(axis=0)
         # OpenCV's corners are centres of the outermost black pixels, and lie so far inside the
         # black square.
@@ -376,7 +373,7 @@ def _read(grey: Image, window: Window, tag: Tag, n: int, misread: int) -> dict[i
 
 
 @lru_cache
-def _reader(family: str, first: int, n: int, misread: int) -> cv2.aruco.ArucoDetector:
+def _reader(family: str, first: int, n: int, misread: int) -> Any:
     """OpenCV's detector for n tags of a family, numbered from 0: searched ten times as fast as the
     whole family of 587.
     """
@@ -398,8 +395,7 @@ def _measure(
     if not found:
         return uv, None
     seen = list(found)
-    panels = [(camera.panels[panel], corners) for panel, corners in found.values()]
-    rays = np.stack([panel.lens.ray(corners) @ panel.R_camera_panel.T for panel, corners in panels])
+    rays = np.stack([camera.panels[panel].ray(corners) for panel, corners in found.values()])
     # normals of the planes through the camera and each diagonal
     diagonals = np.cross(rays[:, :2], rays[:, 2:])
     centre = np.cross(diagonals[:, 0], diagonals[:, 1])

@@ -11,11 +11,11 @@ import pytest
 import vstestbed as vs
 from tests.sim.scene.views import DOWN, LENS, pixel_of, seen
 from vstestbed.core.errors import EnvironmentLackError, ParameterError, ScenarioError
-from vstestbed.core.geometry import Pose
+from vstestbed.core.geometry import Image, Pose
 from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.render.opengl import OpenGLRenderer
 from vstestbed.sim.render.rays import refuse
-from vstestbed.sim.render.still import lamp_of
+from vstestbed.sim.render.still import StillView
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.sim.scene.world import Floor, Light, Plate, WindowPane, World
 from vstestbed.targets.base import Square
@@ -289,11 +289,17 @@ class TestALampThatMoves:
         stage = Scene(
             SceneDescription(s.robot, s.camera, s.target, World(light=self.light()), step=0.002)
         )
-        lamp = lamp_of(stage.model, stage.data)
-        stage.place(0.0, s.target.pose.T, s.robot.configuration())
-        assert (first := lamp()) and lamp() == first
-        stage.place(0.1, s.target.pose.T, s.robot.configuration())
-        assert lamp() != first
+        drawn = []
+
+        def image() -> Image:
+            drawn.append(stage.data.time)
+            return np.zeros((4, 4, 3), np.uint8)
+
+        view = StillView(image, stage.data, "overview", 400.0)
+        for t in (0.0, 0.0, 0.1):
+            stage.place(t, s.target.pose.T, s.robot.configuration())
+            view.full_image()
+        assert drawn == [0.0, 0.1]
         stage.close()
 
     def test_to_where_the_sun_does_not_show_it_is_refused(self):

@@ -137,10 +137,8 @@ class Cube:
         """
         out: set[int] = set()
         for left, top, right, bottom in windows:
-            part = self.owner[
-                max(top - SEAM_PX, 0) : bottom + SEAM_PX, max(left - SEAM_PX, 0) : right + SEAM_PX
-            ]
-            out.update(np.flatnonzero(np.bincount(part.ravel() + 1, minlength=2)[1:]).tolist())
+            near = left - SEAM_PX, top - SEAM_PX, right + SEAM_PX, bottom + SEAM_PX
+            out.update(self.parts(near))
         return out
 
     def parts(self, window: Window) -> dict[int, Window]:
@@ -150,11 +148,10 @@ class Cube:
         for i, (patch, face) in enumerate(zip(self.patches, self.faces, strict=True)):
             some = _within(patch.rows, window[1], window[3])
             columns = _within(patch.columns, window[0], window[2])
-            low, high = (
-                (ends[some] for ends in patch.reach)
-                if wide
-                else _reach(patch.maps[0][some, columns])
-            )
+            if wide:
+                low, high = (ends[some] for ends in patch.reach)
+            else:
+                low, high = _reach(patch.maps[0][some, columns])
             if len(low) and high.max() >= 0:
                 left, top = low.min(axis=0).tolist()
                 right, bottom = high.max(axis=0).tolist()
@@ -172,7 +169,7 @@ class Cube:
         if windows is None:
             for i, face in drawn.items():
                 patch = self.patches[i]
-                self._put(image[patch.rows, patch.columns], np.ascontiguousarray(face), *patch.maps)
+                self._put(image[patch.rows, patch.columns], face, *patch.maps)
             return image
         for window in windows:
             for i, (left, top, right, bottom) in self.parts(window).items():
@@ -181,7 +178,7 @@ class Cube:
                     _within(patch.rows, window[1], window[3]),
                     _within(patch.columns, window[0], window[2]),
                 )
-                still = np.ascontiguousarray(drawn[i][top:bottom, left:right])
+                still = drawn[i][top:bottom, left:right]
                 coarse, rest = patch.maps
                 moved = coarse[part] - np.array([left, top], np.int16)
                 self._put(image[patch.rows, patch.columns][part], still, moved, rest[part])
@@ -238,9 +235,8 @@ def _reach(at: NDArray[np.int16]) -> tuple[NDArray[np.int16], NDArray[np.int16]]
     largest of a row without any.
     """
     there = at[..., :1] >= 0
-    return np.where(there, at, np.int16(32767)).min(axis=1, initial=32767), np.where(
-        there, at, np.int16(-1)
-    ).max(axis=1, initial=-1)
+    low = at.min(axis=1, initial=32767, where=there)
+    return low, at.max(axis=1, initial=-1, where=there)
 
 
 def _patch(mine: NDArray[np.bool_], px: Array) -> Patch:
@@ -256,7 +252,7 @@ def _patch(mine: NDArray[np.bool_], px: Array) -> Patch:
     coarse, rest = cv2.convertMaps(
         at[rows, columns, 0].copy(), at[rows, columns, 1].copy(), cv2.CV_16SC2
     )
-    return Patch(rows, columns, (np.asarray(coarse, np.int16), np.asarray(rest, np.uint16)))
+    return Patch(rows, columns, (coarse, rest))
 
 
 def _face(camera: Camera, index: int, name: str, turned: Array, f: float) -> Pinhole:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
 
@@ -14,7 +14,16 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, DepthImage, DepthSensor, Panel, Perspective, Picture, Regions
+from vstestbed.camera import (
+    Camera,
+    DepthImage,
+    DepthSensor,
+    Panel,
+    Perspective,
+    Picture,
+    Regions,
+    Window,
+)
 from vstestbed.core.geometry import Array, Images, pixel_grid
 from vstestbed.imaging.chain import Chain, Change
 from vstestbed.imaging.shutter import Contribution, Rows, RowWeight
@@ -35,7 +44,7 @@ class PixelRows:
     are always drawn.
     """
 
-    def __init__(self, camera: Camera, noisy: bool = False):
+    def __init__(self, camera: Camera, noisy: bool):
         self._camera = camera
         self._noisy = noisy
 
@@ -48,9 +57,8 @@ class PixelRows:
         return None if panels[0].lens is self._camera else tuple(map(self._rows, panels))
 
     def _rows(self, panel: Panel) -> NDArray[np.intp]:
-        lens = panel.lens
-        uv = pixel_grid(lens.width, lens.height)
-        v = self._camera.project(lens.ray(uv) @ panel.R_camera_panel.T)[..., 1]
+        rays = panel.ray(pixel_grid(panel.lens.width, panel.lens.height))
+        v = self._camera.project(rays)[..., 1]
         return np.clip(np.rint(np.nan_to_num(v)), 0, self._camera.height - 1).astype(np.intp)
 
     def weights(self, weight: RowWeight) -> tuple[RowWeight, ...]:
@@ -83,13 +91,12 @@ class PixelRows:
         lenses = [panel.lens for panel in self._camera.panels]
         if regions is None:
             return tuple(((0, 0, lens.width, lens.height),) for lens in lenses)
-        rows = [
-            tuple((0, v, lens.width, v + 1) for v in noise_rows(lens.height)) if self._noisy else ()
-            for lens in lenses
-        ]
-        return tuple(
-            windows and windows + noise for windows, noise in zip(regions, rows, strict=True)
-        )
+        asked: list[tuple[Window, ...]] = []
+        for windows, lens in zip(regions, lenses, strict=True):
+            if windows and self._noisy:
+                windows += tuple((0, v, lens.width, v + 1) for v in noise_rows(lens.height))
+            asked.append(windows)
+        return tuple(asked)
 
 
 def band(weight: Array) -> Rows:
@@ -222,7 +229,7 @@ class ImageSensor:
         self,
         stage: Scene,
         renderer: Renderer,
-        chain: Chain | None = None,
+        chain: Chain,
         depth: DepthCamera | None = None,
         camera: Camera | None = None,
     ):
@@ -230,17 +237,17 @@ class ImageSensor:
         self._model = stage.model
         self._data = stage.data
         self._renderer = renderer
-        self._chain = chain or Chain()
+        self._chain = chain
         self._depth = depth
-        self._reads_depth = depth is not None or self._chain.needs_depth
-        self._always_whole = self._reads_depth or self._chain.whole
+        self._reads_depth = depth is not None or chain.needs_depth
+        self._always_whole = self._reads_depth or chain.whole
         self._true_depth: DepthImage | None = None
         self._imaged_s = 0.0
         self._states: list[mujoco.MjData] = []
-        self._rows = PixelRows(camera or stage.parts.camera, self._chain.noisy)
+        self._rows = PixelRows(camera or stage.parts.camera, chain.noisy)
         self._exposed: list[Contribution] = []
         self._blur = MotionBlur()
-        self._latest = list[Change]()
+        self._change: Change = lambda t, images, depth: images  # of the last picture
         self._of_now = True  # whether the last picture is of the scene as it is
 
     @property
@@ -275,8 +282,8 @@ class ImageSensor:
         kept = picture.copy()  # more is drawn into the same memory
         if len(picture.images) == 1 and not self._of_now:
             return replace(kept, own=picture.completed().images[0])
-        drawn = self._developed(picture.t, (self._renderer.full_image(),), self._latest)
-        return replace(kept, own=drawn.images[0])
+        (own,) = self._change(picture.t, (self._renderer.full_image(),), self._true_depth)
+        return replace(kept, own=own)
 
     def exposure_s(self, t: float) -> float | None:
         """Exposure time of the next picture [s], as the camera will have it at a time t [s]; None
@@ -353,24 +360,24 @@ class ImageSensor:
     def _picture(
         self, t: float, clean: Images, whole: bool, exposed: list[Contribution]
     ) -> Picture:
-        drawn = self._latest = self._chain.next()
+        change = self._chain.next()
+
+        def developed(images: Images) -> Picture:
+            return Picture(t, change(t, images, self._true_depth))
+
+        self._change = change
         begun = time.perf_counter()
-        made = self._developed(t, clean, drawn)
+        made = developed(clean)
         if self._chain.imaging:
             made = replace(made, exposed=self._chain.imaging.exposed)
             self._imaged_s += time.perf_counter() - begun
         if self._depth is not None:
             made = replace(made, depth=self._depth.measured(self._true_depth))
-        if whole:
-            return made
-        return Picture(
-            t, made.images, whole, lambda: self._developed(t, self._drawn_again(exposed), drawn)
-        )
-
-    def _developed(self, t: float, images: Images, changes: Sequence[Change]) -> Picture:
-        for change in changes:
-            images = change(t, images, self._true_depth)
-        return Picture(t, images)
+        if not whole:
+            made = replace(
+                made, whole=False, draw_whole=lambda: developed(self._drawn_again(exposed))
+            )
+        return made
 
     def _drawn_again(self, exposed: list[Contribution]) -> Images:
         """The whole images of the exposure whose states are kept. The scene's own state is put back

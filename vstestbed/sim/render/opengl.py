@@ -40,7 +40,6 @@ OpenGL: .12 ms and 15 ns a pixel).
 """
 
 
-FRUSTUM = "frustum_center", "frustum_width", "frustum_bottom", "frustum_top"
 PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
 GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
@@ -58,14 +57,13 @@ class PartCamera(dm.Camera):
     windows: the parts (left, top, right, bottom) [px] of the next image; None for all of it.
     local: there are no shadows and mirrors, by which a geom changes the image elsewhere as well.
     reads_depth: with the next image, which is a whole one, its depth is read (`depth`).
+    beyond: a part of the image plane, as a window, that is drawn in place of the image.
     """
 
     windows: tuple[Window, ...] | None = None
     local: bool = False
     reads_depth: bool = False
-    beyond: tuple[float, float, float, float] | None = (
-        None  # a part of the image plane, in pixels, that is drawn in place of the image
-    )
+    beyond: tuple[float, float, float, float] | None = None
     _drawn: tuple[tuple[slice, slice], ...] = ((slice(None), slice(None)),)
 
     def update(self, scene_option: Any = None) -> None:
@@ -88,9 +86,9 @@ class PartCamera(dm.Camera):
             for camera in self._scene.ptr.camera:
                 _narrow(camera, part, self._width, self._height)
         if self.local:
-            self._leave_out(self._geoms, self._planes)
+            self._leave_out()
 
-    def _leave_out(self, geoms: list[Any], planes: list[Any]) -> None:
+    def _leave_out(self) -> None:
         """Leave out geoms whose bounding sphere is outside of the frustum, and the sky where a
         plane fills the image.
         """
@@ -100,29 +98,21 @@ class PartCamera(dm.Camera):
         R = data.cam_xmat[camera].reshape(3, 3)
         place = data.cam_xpos[camera]
         eyes = self._scene.ptr.camera
-        left, right, bottom, top = (
-            sum(ends) / 2
-            for ends in zip(
-                *(_frustum(eye, self._width / self._height) for eye in eyes), strict=True
-            )
-        )
+        aspect = self._width / self._height
+        left, right, bottom, top = np.mean([_frustum(eye, aspect) for eye in eyes], axis=0).tolist()
         normals = np.array(
             [[-1, 0, -left], [1, 0, right], [0, -1, -bottom], [0, 1, top], [0, 0, 1]]
         )
-        beyond = (data.geom_xpos - place) @ R @ normals.T > np.outer(
-            model.geom_rbound, np.sqrt((normals**2).sum(axis=1))
-        )
-        outside = beyond.any(axis=1).tolist()
-        for geom in geoms:
+        heights = (data.geom_xpos - place) @ R @ normals.T
+        reach = np.outer(model.geom_rbound, np.sqrt((normals**2).sum(axis=1)))
+        outside = (heights > reach).any(axis=1).tolist()
+        for geom in self._geoms:
             if geom.type != PLANE and geom.objtype == GEOM and outside[geom.objid]:
-                geom.type = (
-                    LABEL  # of which nothing is drawn; MuJoCo would take all its vertices to OpenGL
-                )
-        corners = (
-            np.array([[left, bottom, -1], [left, top, -1], [right, bottom, -1], [right, top, -1]])
-            @ R.T
-        )
-        filled = any(_fills(plane, place, corners, SKY * eyes[0].frustum_far) for plane in planes)
+                # of which nothing is drawn; MuJoCo would take all its vertices to OpenGL
+                geom.type = LABEL
+        corners = np.array([[x, y, -1] for x in (left, right) for y in (bottom, top)]) @ R.T
+        far = SKY * eyes[0].frustum_far
+        filled = any(_fills(plane, place, corners, far) for plane in self._planes)
         self._scene.ptr.flags[SKYBOX] = not filled
 
     def _render_on_gl_thread(self, depth: bool, overlays: Any) -> None:
@@ -150,7 +140,6 @@ class PartCamera(dm.Camera):
         """Draw one window; where it is in the buffer. The scene is left as it was."""
         left, top, right, bottom = window
         scene = self._scene.ptr
-        frustums = [[getattr(camera, name) for name in FRUSTUM] for camera in scene.camera]
         kinds = [geom.type for geom in self._geoms]
         self._look_at(window)
         rect = mujoco.MjrRect(0, 0, right - left, bottom - top)
@@ -159,9 +148,8 @@ class PartCamera(dm.Camera):
         mujoco.mjr_readPixels(part, None, rect, context)
         where = slice(self._height - bottom, self._height - top), slice(left, right)
         self._rgb_buffer[where] = part
-        for camera, frustum in zip(scene.camera, frustums, strict=True):
-            for name, value in zip(FRUSTUM, frustum, strict=True):
-                setattr(camera, name, value)
+        model = self._physics.model.ptr
+        mujoco.mjv_updateCamera(model, self._physics.data.ptr, self._render_camera.ptr, scene)
         for geom, kind in zip(self._geoms, kinds, strict=True):
             geom.type = kind
         return where
@@ -552,7 +540,7 @@ class OpenGLRenderer:
         drawn = self._views[0].raw(((left, top, right, bottom),))
         image = np.zeros((self._size[1], self._size[0], 3), np.uint8)
         image[part] = cv2.remap(
-            np.ascontiguousarray(drawn[top:bottom, left:right]),
+            drawn[top:bottom, left:right],
             u - np.float32(left),
             v - np.float32(top),
             cv2.INTER_LINEAR,
@@ -575,9 +563,8 @@ class OpenGLRenderer:
             self.depth = self._depth_now()
         if self._maps is None:
             return (image,)
-        still = np.ascontiguousarray(image)
-        resampled = cv2.remap(still, *self._maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        return (np.asarray(resampled, np.uint8),)
+        linear = cv2.INTER_LINEAR
+        return (cv2.remap(image, *self._maps, linear, borderMode=cv2.BORDER_REPLICATE),)
 
     def _depth_now(self) -> DepthImage:
         """The depth of the image just drawn, through the depth sensor's own lens where it has
@@ -641,4 +628,4 @@ def _resampled(
     linear = cv2.remap(w, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     within = cv2.remap(smooth, *maps, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
     with np.errstate(divide="ignore"):
-        return np.asarray(1 / np.where(within > 0, linear, nearest), np.float32)
+        return 1 / np.where(within > 0, linear, nearest)

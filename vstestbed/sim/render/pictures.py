@@ -66,9 +66,10 @@ def outside_view(
     """One of the scene's cameras, rendered as the servo camera's `renderer` asks; rays draw no
     shadows. Raises as `servo_renderer`.
     """
-    by_rays: Callable[[], Any] = lambda: _rays().RaySceneCamera(  # noqa: E731 - beside the other
-        stage, name, width, height, FILM_RAYS
-    )
+
+    def by_rays() -> RaySceneCamera:
+        return _rays().RaySceneCamera(stage, name, width, height, FILM_RAYS)
+
     if drawn_together.get():  # OpenGL in a process with Warp has been seen to crash
         return by_rays()
     return _chosen(

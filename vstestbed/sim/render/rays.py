@@ -22,7 +22,6 @@ from vstestbed.core.geometry import Array, lengths, pixel_grid
 from vstestbed.imaging.shutter import Rows
 from vstestbed.sim import gl_probe as gl
 from vstestbed.sim.render.shade import Paint
-from vstestbed.sim.render.still import lamp_of
 from vstestbed.sim.scene.meshes import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.vision.colour import noise_rows
@@ -55,13 +54,11 @@ def angles_to_next(rays: Array) -> Array:
     """Angle [rad] from each ray (H, W, 3) to the farther of the next ones across and down, shape
     (H, W); 0 where there is none.
     """
-    out = np.zeros(rays.shape[:2])
-    for axis in (0, 1):
-        if rays.shape[axis] > 1:
-            steps = lengths(np.diff(rays, axis=axis))[..., 0]
-            last = steps[-1:] if axis == 0 else steps[:, -1:]
-            np.fmax(out, np.concatenate([steps, last], axis=axis), out=out)
-    return out
+    across = lengths(np.diff(rays, axis=1))[..., 0]
+    down = lengths(np.diff(rays, axis=0))[..., 0]
+    across = np.pad(across, ((0, 0), (0, 1)), mode="edge")
+    down = np.pad(down, ((0, 1), (0, 0)), mode="edge")
+    return np.nan_to_num(np.fmax(across, down))
 
 
 ROWS = 32  # rows of an image that are cast at a time: of a narrow bundle most geoms are culled
@@ -112,14 +109,14 @@ class Caster:
     stage: the scene. outside: show the geoms that enclose the servo camera's lens.
     """
 
-    def __init__(self, stage: Scene, outside: bool = False):
+    def __init__(self, stage: Scene, outside: bool):
         self._data = stage.data
         self._model = copy.copy(stage.model)
         self._model.body_bvhadr[:] = -1
         self.paint = Paint(stage.model, stage.data, stage.parts.camera.anisotropy)
-        self._shown = ~np.isin(
-            stage.model.geom_group, [RANGE_GROUP] if outside else [RANGE_GROUP, LENS_GROUP]
-        )
+        self._shown = stage.model.geom_group != RANGE_GROUP
+        if not outside:
+            self._shown &= stage.model.geom_group != LENS_GROUP
         self._endless = stage.model.geom_rbound <= 0
         self._groups = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
 
@@ -289,10 +286,8 @@ class Raster:
         T: Array,
     ) -> None:
         # pixels with a neighbour, of eight, that shows another geom
-        height, width = geoms.shape
-        wide = np.pad(geoms, 1, mode="edge")
-        near = [wide[i : i + height, j : j + width] for i, j in np.ndindex(3, 3)]
-        row, column = np.nonzero(np.logical_or.reduce([other != geoms for other in near]))
+        near = np.lib.stride_tricks.sliding_window_view(np.pad(geoms, 1, mode="edge"), (3, 3))
+        row, column = np.nonzero((near != geoms[..., None, None]).any(axis=(2, 3)))
         if len(row):
             at = np.stack([column + corner[0], row + corner[1]], axis=-1)
             uv = at[:, None] + self.within
@@ -363,10 +358,12 @@ class RayRenderer:
         """
         start = time.perf_counter()
         images = []
-        regions, rows = (None, None) if with_depth else (regions, rows)
+        if with_depth:
+            regions = rows = None
         for i, panel in enumerate(self._camera.panels):
             windows = None if regions is None else regions[i]
-            images.append(None if windows == () else self._draw(panel, i, windows, rows))
+            image = None if windows == () else self._draw(panel, i, windows, rows)
+            images.append(image)
         if with_depth:
             T = self._stage.camera_pose(self._eye)
             self.depth = ray_depth(self._depth_rays, T, self._caster.hits)
@@ -416,7 +413,7 @@ class RayRenderer:
         raster.draw(image, windows, self._caster, self._stage.camera_pose(self._eye))
 
 
-def refuse(camera: Camera, mirror: float = 0.0) -> None:
+def refuse(camera: Camera, mirror: float) -> None:
     """Refuse shadows and a floor that mirrors, which rays cannot draw.
 
     Raises ParameterError: rays were asked for. EnvironmentLackError: they are what is left without
@@ -434,59 +431,26 @@ def refuse(camera: Camera, mirror: float = 0.0) -> None:
 
 
 class RaySceneCamera:
-    """A camera of a stage that films from outside, by rays, without shadows; while it is at rest,
-    only changed tiles are cast.
+    """A camera of a stage that films from outside, by rays, without shadows.
 
     stage: the scene. camera: name in the scene. width, height: size of the image [px]. samples:
     antialiasing, see `Raster`.
     """
 
-    def __init__(self, stage: Scene, camera: str, width: int, height: int, samples: int = 0):
+    def __init__(self, stage: Scene, camera: str, width: int, height: int, samples: int):
         self._stage = stage
         self._camera = camera
         self._caster = Caster(stage, outside=True)
         fovy_deg = float(stage.model.camera(camera).fovy[0])
         lens = Perspective(width=width, height=height, fovy_deg=fovy_deg)
         self._raster = Raster(lens, np.eye(3), samples)
-        self._tiles = [
-            (tile, cone_of(self._raster.rays(tile).reshape(-1, 3)))
-            for tile in tiles_of((0, 0, width, height))
-        ]
-        # angle by which antialiasing looks beyond a tile [rad]
-        self._pixel = 2 / lens.f if samples else 0.0
-        self._image = np.empty((height, width, 3), np.uint8)
-        self._before: tuple[Array, Array, Array] | None = None
-        self._lamp = lamp_of(stage.model, stage.data)
-        self._lit = b""
 
     def full_image(self) -> Image:
-        """The image now, shape (H, W, 3) uint8 RGB, as a copy."""
-        data = self._stage.data
-        T = self._stage.pose_of(self._camera)
-        lit = self._lamp()
-        if lit != self._lit:
-            self._before = None
-            self._lit = lit
-        stale = tuple(tile for tile, cone in self._tiles if self._changed(T, cone))
-        self._raster.draw(self._image, stale, self._caster, T)
-        self._before = T, data.geom_xpos.copy(), data.geom_xmat.copy()
-        return self._image.copy()
+        """The image now, shape (H, W, 3) uint8 RGB."""
+        return self.part((0, 0, self._raster.width, self._raster.height))
 
-    def part(self, window: Window) -> Image | None:
-        """None: the whole image is drawn where it has changed alone."""
-        return None
-
-    def _changed(self, T: Array, cone: tuple[Array, float]) -> bool:
-        """Whether a geom within a cone of the camera (axis in its frame) has moved since the last
-        image.
-        """
-        if self._before is None or not np.array_equal(self._before[0], T):
-            return True
-        data = self._stage.data
-        bound = self._stage.model.geom_rbound
-        _, position, attitude = self._before
-        moved = (data.geom_xpos != position).any(axis=1) | (data.geom_xmat != attitude).any(axis=1)
-        # Where it was and where it is now: both tiles change.
-        spheres = np.concatenate([position[moved], data.geom_xpos[moved]]) - T[:3, 3]
-        radii = np.tile(np.where(bound > 0, bound, np.inf)[moved], 2)
-        return bool(meets(spheres, radii, T[:3, :3] @ cone[0], cone[1] + self._pixel).any())
+    def part(self, window: Window) -> Image:
+        """The image now within a window; the rest is black."""
+        image = np.zeros((self._raster.height, self._raster.width, 3), np.uint8)
+        self._raster.draw(image, (window,), self._caster, self._stage.pose_of(self._camera))
+        return image

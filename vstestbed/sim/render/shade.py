@@ -115,13 +115,14 @@ def _halved(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
     that nothing is shifted.
     """
     half = texels.astype(np.float32)
-    for axis in (0, 1):
-        n = half.shape[axis]
+    for _ in ("rows", "columns"):
+        n = len(half)
         if n > 1:
             at = (np.arange(n // 2) + 0.5) * n / (n // 2) - 0.5
             low = at.astype(int)
-            share = (at - low).astype(np.float32).reshape((-1, 1, 1) if axis == 0 else (1, -1, 1))
-            half = (1 - share) * half.take(low, axis) + share * half.take(low + 1, axis)
+            share = (at - low).astype(np.float32)[:, None, None]
+            half = (1 - share) * half[low] + share * half[low + 1]
+        half = half.swapaxes(0, 1)
     return (half + 0.5).astype(np.uint8)
 
 
@@ -160,11 +161,11 @@ class Paint:
         material = model.geom_matid
         painted = material >= 0
         rgb = own_colours(model)[:, :3]
-        emission = np.where(painted, model.mat_emission[material] if model.nmat else 0.0, 0.0)
-        texture = np.where(painted, model.mat_texid[material, RGB_ROLE] if model.nmat else -1, -1)
-        flat = texture >= 0
-        if model.ntex:
-            flat &= model.tex_type[texture] == FLAT_TEXTURE
+        emission = np.zeros(model.ngeom)
+        emission[painted] = model.mat_emission[material[painted]]
+        texture = np.full(model.ngeom, -1)
+        texture[painted] = model.mat_texid[material[painted], RGB_ROLE]
+        flat = np.append(model.tex_type == FLAT_TEXTURE, False)[texture]  # -1: none
         printed = flat & np.isin(model.geom_type, FLAT)
         self.printed: list[int] = np.flatnonzero(printed).tolist()
         self.averaged: list[int] = np.flatnonzero((texture >= 0) & ~printed).tolist()

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Image, Window
 from vstestbed.core.geometry import Array, lengths
+from vstestbed.sim.scene.meshes import CORNERS
 from vstestbed.sim.scene.world import LAMP
 
 UNSEEN_PX = 0.5  # motion in the image below which the last image is shown again [px]
@@ -21,20 +22,7 @@ UNSEEN_PX = 0.5  # motion in the image below which the last image is shown again
 SLIGHT_PX = 0.05
 NEAR_M = 0.1  # least distance that is assumed between a view and what it shows [m]
 FLOOR_M = 0.5  # the same for planes, which have no bounding sphere [m]
-CORNERS = np.array([[i, j, k] for i in (-1.0, 1.0) for j in (-1.0, 1.0) for k in (-1.0, 1.0)])
 ASIDE = 1.02  # margin of the tangents beyond which a geom is out of sight
-
-
-def lamp_of(model: mujoco.MjModel, data: mujoco.MjData) -> Callable[[], bytes]:
-    """Place and direction of a scene's lamp (`world.light`) now, to be compared: where it has
-    moved, light and shadows differ everywhere.
-
-    Empty where the scene has no lamp that moves.
-    """
-    lights = np.flatnonzero(
-        model.light_bodyid == mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, LAMP)
-    )
-    return lambda: data.light_xpos[lights].tobytes() + data.light_xdir[lights].tobytes()
 
 
 class StillView:
@@ -72,7 +60,8 @@ class StillView:
         self._camera = model.camera(camera).id
         self._sides = sides
         self._corners = model.geom_aabb[:, None, :3] + model.geom_aabb[:, None, 3:] * CORNERS
-        self._lamp = lamp_of(model, data)
+        lamp = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, LAMP)
+        self._lamps = np.flatnonzero(model.light_bodyid == lamp)
         self._lit = b""
         self._drawn: tuple[NDArray[Any], ...] = ()
         self._image: Image | None = None
@@ -80,7 +69,8 @@ class StillView:
     def full_image(self) -> Image:
         """The image now, shape (H, W, 3) uint8 RGB, as a copy that the caller may keep."""
         state = self._state()
-        lit = self._lamp()
+        # where a lamp has moved, light and shadows differ everywhere
+        lit = np.stack([self._data.light_xpos, self._data.light_xdir])[:, self._lamps].tobytes()
         if lit != self._lit or self._image is None:
             self._image = self._view()
             self._drawn = state

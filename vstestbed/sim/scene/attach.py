@@ -17,7 +17,7 @@ from vstestbed.effects.base import RobotModel
 from vstestbed.effects.body import Change, reshape
 from vstestbed.robots import Robot
 from vstestbed.robots.allocation import Actuation, Servo
-from vstestbed.sim.scene.joint_chain import flange_in
+from vstestbed.sim.scene.joint_chain import flange_body, flange_in
 from vstestbed.sim.scene.meshes import OF_FILES
 from vstestbed.sim.scene.model_files import carry_files, read_model
 
@@ -138,7 +138,7 @@ def add_robot(
         compiled=functools.partial(_compiled, body.file, body.changes),
         joints=robot.joints,
         actuators=body.actuators,
-        flange=_flange_body(model, body.flange),
+        flange=flange_body(model, body.flange),
         T_body_flange=found[1].copy(),
         carried=body.actuation.carried if body.actuation else 0.0,
         assets={} if assets is None else assets,
@@ -150,13 +150,7 @@ def add_robot(
     # after it: an attached model brings its own assets, under a prefix that nothing refers to
     if files:
         scene.assets = {**scene.assets, **files}
-    return _flange_body(scene, f"{prefix}{body.flange}"), edited.T_body_flange
-
-
-def _flange_body(spec: mujoco.MjSpec, name: str) -> mujoco.MjsBody:
-    """The body that carries the camera: that of the site of this name, or the body itself."""
-    site = spec.site(name)
-    return site.parent if site else spec.body(name)
+    return flange_body(scene, f"{prefix}{body.flange}"), edited.T_body_flange
 
 
 def _share_options(scene: mujoco.MjSpec, model: mujoco.MjSpec, friction: float | None) -> None:

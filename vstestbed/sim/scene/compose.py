@@ -14,6 +14,7 @@ alone meet.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
@@ -70,7 +71,7 @@ def add_stripe(
     """Line i between its edges (K, 2) as a geom of `body`: a strip of triangles, visible from
     above, without collisions.
     """
-    rgba, paint = _paint(scene, f"color_{i}", rgb, lit)
+    paint = _paint(scene, f"color_{i}", rgb, lit)
     left, right = edges
     kept = np.unique(np.append(np.arange(0, len(left), SEGMENT), len(left) - 1))
     n = len(kept)
@@ -83,56 +84,44 @@ def add_stripe(
         name=f"target/line_{i}", uservert=vertices.ravel(), userface=faces.ravel()
     )
     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # a sheet has no volume
-    geom = _visual(body, mesh.name, mujoco.mjtGeom.mjGEOM_MESH, [0, 0, 0], rgba, TARGET_GROUP)
+    geom = _painted(body, mesh.name, mujoco.mjtGeom.mjGEOM_MESH, [0, 0, 0], paint)
     geom.meshname = mesh.name
-    geom.material = paint.name
 
 
 def add_sheet(
     scene: mujoco.MjSpec, body: mujoco.MjsBody, sheet: PictureTarget, front: float
 ) -> float:
     """A picture with its face at z = front in the target's frame; where its back is [m]."""
-    rgba, paint = _paint(scene, "picture", np.full(3, sheet.albedo), sheet.lit)
+    paint = _paint(scene, "picture", np.full(3, sheet.albedo), sheet.lit)
     paint.specular = sheet.gloss
     paint.shininess = SHININESS
     paint.texrepeat = SHARE, SHARE
     lay_picture(scene, paint, "target/picture", "target_picture.png", sheet.png)
     half = thin(sheet.width)
     size = [sheet.width / 2, sheet.height / 2, half]
-    geom = _visual(body, "target/picture", GEOMS["box"], size, rgba, TARGET_GROUP)
+    geom = _painted(body, "target/picture", GEOMS["box"], size, paint)
     geom.pos = [0, 0, front + half]
     geom.quat = FACE_VIEWER
-    geom.material = paint.name
     return front + 2 * half
 
 
 def add_body(scene: mujoco.MjSpec, body: mujoco.MjsBody, solid: Body) -> None:
     """A target's solid, without collisions. MuJoCo smooths the shading of curved surfaces."""
     shape, rgb, lit = solid
-    rgba, paint = _paint(scene, "solid", np.array(rgb), lit)
-    geom = body.add_geom(
-        name="target/solid",
-        rgba=rgba,
-        material=paint.name,
-        group=TARGET_GROUP,
-        contype=0,
-        conaffinity=0,
-        mass=0,
-    )
+    paint = _paint(scene, "solid", np.array(rgb), lit)
     if not isinstance(shape, np.ndarray):
         # Its outline is measured: with MuJoCo's own 28 facets round the equator it would be a
         # polygon .6 % of the radius too small.
         scene.visual.quality.numslices = 2 * FACETS
         scene.visual.quality.numstacks = FACETS
-        geom.type = mujoco.mjtGeom.mjGEOM_SPHERE
-        geom.size = [shape, 0, 0]
+        _painted(body, "target/solid", GEOMS["sphere"], [shape, 0, 0], paint)
         return
     scene.meshdir = ASSETS
     scene.assets = {**scene.assets, f"{ASSETS}/target_solid.stl": as_stl(shape)}
     mesh = scene.add_mesh(name="target/solid", file="target_solid.stl")
     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # it need not be closed
-    geom.type = mujoco.mjtGeom.mjGEOM_MESH
-    geom.meshname = "target/solid"
+    geom = _painted(body, mesh.name, mujoco.mjtGeom.mjGEOM_MESH, [0, 0, 0], paint)
+    geom.meshname = mesh.name
 
 
 HOUSING_M = 0.03  # distance of the camera housing's centre behind the lens [m]
@@ -202,11 +191,11 @@ def compose(parts: SceneDescription) -> mujoco.MjSpec:
         _add_target(scene, parts.target, carrier, parts.target.pose.T)
     for other in parts.others:
         lens = other.camera
+        T = lens.mount.T
         if other.stands:
-            place = lens.mount.T
-            _add_camera(scene.worldbody, place, lens, housing, other.name, ROBOT_GROUP)
+            _add_camera(scene.worldbody, T, lens, housing, other.name, ROBOT_GROUP)
         else:
-            _add_camera(body, T_body_flange @ lens.mount.T, lens, housing, other.name)
+            _add_camera(body, T_body_flange @ T, lens, housing, other.name)
     _frame_overview(scene, parts)
     _add_plates(scene, parts)
     light_scene(scene, parts.world, parts.glossy)
@@ -290,15 +279,13 @@ def _add_camera(
     A lens that sees beyond a plane has a camera for each face of the cube that it sees: `eye`
     ahead, `eye_right`, ...
     """
-    pos = T_body_camera[:3, 3]
-    quat_cv = quaternion_wxyz(T_body_camera[:3, :3])
+    at = _at(T_body_camera)
     for view in drawn_for(camera, eye):
         T_camera_view = np.eye(4)
         T_camera_view[:3, :3] = view.R_camera_face
         body.add_camera(
             name=view.name,
-            pos=pos,
-            quat=quaternion_wxyz((T_body_camera @ T_camera_view @ FLIP)[:3, :3]),
+            **_at(T_body_camera @ T_camera_view @ FLIP),
             resolution=[view.width, view.height],
             sensor_size=[view.width * PITCH_M, view.height * PITCH_M],
             focal_pixel=[view.f, view.f],
@@ -309,7 +296,7 @@ def _add_camera(
                 view.height / 2 - 0.5 - view.centre[1],
             ],
         )
-    body.add_site(name=eye, pos=pos, quat=quat_cv, group=SITE_GROUP, size=[0.005] * 3)
+    body.add_site(name=eye, **at, group=SITE_GROUP, size=[0.005] * 3)
     box = [0.025, 0.02, 0.03]
     glass = [0.013, 0.012, 0]
     back = 0.0 if group == LENS_GROUP else BEHIND_LENS_M
@@ -319,8 +306,8 @@ def _add_camera(
     ):
         sides = [x * housing for x in size]
         geom = _visual(body, name, kind, sides, [grey, grey, grey, 1], group)
-        geom.pos = pos + T_body_camera[:3, 2] * ((along - back) * housing)
-        geom.quat = quat_cv
+        geom.pos = at["pos"] + T_body_camera[:3, 2] * ((along - back) * housing)
+        geom.quat = at["quat"]
 
 
 def _add_post(body: mujoco.MjsBody, deck: mujoco.MjsGeom | None, T_body_camera: Array) -> None:
@@ -349,7 +336,7 @@ def _add_target(
     It is a mocap body in the world, or fixed to its carrier, at the pose T (4, 4) there.
     """
     body = (carrier or scene.worldbody).add_body(
-        name="target/frame", mocap=carrier is None, pos=T[:3, 3], quat=quaternion_wxyz(T[:3, :3])
+        name="target/frame", mocap=carrier is None, **_at(T)
     )
     # MuJoCo gives the velocity of a site in its own axes, which the truth needs of a target in
     # motion
@@ -377,47 +364,42 @@ def _add_socket(body: mujoco.MjsBody, socket: Socket) -> None:
     half = (socket.radius + socket.wall) * math.tan(math.pi / SOCKET_SIDES)
     grey = [0.45, 0.47, 0.5, 1.0]
     friction = [socket.friction, 0.005, 0.0001]
-    parts: list[tuple[list[float], list[float], float]] = [
-        ([*socket.xy, SOCKET_BOTTOM_M], [middle, middle, SOCKET_BOTTOM_M], 0.0)
-    ]
-    for k in range(SOCKET_SIDES):
-        angle = 2 * math.pi * k / SOCKET_SIDES
-        at = [
-            socket.xy[0] + middle * math.cos(angle),
-            socket.xy[1] + middle * math.sin(angle),
-            -socket.depth / 2,
-        ]
-        parts.append((at, [socket.wall / 2, half, socket.depth / 2], angle))
-    for k, (at, size, angle) in enumerate(parts):
-        quat = [math.cos(angle / 2), 0, 0, math.sin(angle / 2)]
-        geom = body.add_geom(
+
+    def add(k: int, at: list[float], size: list[float], angle: float) -> None:
+        body.add_geom(
             name=f"target/socket_{k}",
             type=GEOMS["box"],
             size=size,
             pos=at,
-            quat=quat,
+            quat=[math.cos(angle / 2), 0, 0, math.sin(angle / 2)],
             rgba=grey,
             group=TARGET_GROUP,
+            mass=0,
+            friction=friction,
+            solref=[SOFT_S, 1.0],
         )
-        geom.mass = 0.0
-        geom.friction = friction
-        geom.solref = [SOFT_S, 1.0]
+
+    x, y = socket.xy
+    add(0, [x, y, SOCKET_BOTTOM_M], [middle, middle, SOCKET_BOTTOM_M], 0.0)
+    for k in range(SOCKET_SIDES):
+        angle = 2 * math.pi * k / SOCKET_SIDES
+        at = [x + middle * math.cos(angle), y + middle * math.sin(angle), -socket.depth / 2]
+        add(k + 1, at, [socket.wall / 2, half, socket.depth / 2], angle)
 
 
 def _add_back(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target) -> None:
     if pad := target.pad:  # the only part of a target that collides
         size = [pad.side / 2, pad.side / 2, PAD_HALF_M]
-        grey = [0.62, 0.63, 0.62, 1]
-        geom = body.add_geom(
+        body.add_geom(
             name="target/pad",
             type=GEOMS["box"],
             size=size,
             pos=[0, 0, PAD_HALF_M],
-            rgba=grey,
+            rgba=[0.62, 0.63, 0.62, 1],
             group=TARGET_GROUP,
+            mass=pad.weight,
+            friction=PAD_FRICTION,
         )
-        geom.mass = pad.weight
-        geom.friction = PAD_FRICTION
     elif target.board_half_m is not None:
         half = target.board_half_m
         marker = target.marker
@@ -436,7 +418,7 @@ def _add_marker(
     marker = target.marker
     normal = target.normals[i]
     colour = np.full(3, marker.albedo) if marker.textured else target.colors[i]
-    rgba, paint = _paint(scene, f"color_{i}", colour, marker.lit)
+    paint = _paint(scene, f"color_{i}", colour, marker.lit)
     if marker.textured:
         name, png = printed(marker, i)  # in memory; `scene_files` writes it beside model.xml
         lay_picture(scene, paint, f"target/{name}", f"{name}.png", png)
@@ -447,10 +429,14 @@ def _add_marker(
         thickness = half_sizes[2] or half_sizes[1]
         inwards = thickness if target.body is None else -thickness
     name = f"target/marker_{i}"
-    geom = _visual(body, name, GEOMS[shape], list(half_sizes), rgba, TARGET_GROUP)
+    geom = _painted(body, name, GEOMS[shape], half_sizes, paint)
     geom.pos = p - inwards * normal
     geom.quat = _facing(normal)
-    geom.material = paint.name
+
+
+def _at(T: Array) -> dict[str, Array]:
+    """Position and quaternion of a pose (4, 4), as what is added to a spec takes them."""
+    return {"pos": T[:3, 3], "quat": quaternion_wxyz(T[:3, :3])}
 
 
 def _facing(normal: Array) -> tuple[float, ...]:
@@ -464,17 +450,26 @@ def _facing(normal: Array) -> tuple[float, ...]:
     return tuple(turn / np.linalg.norm(turn))
 
 
-def _paint(
-    scene: mujoco.MjSpec, name: str, rgb: Array, lit: bool
-) -> tuple[list[float], mujoco.MjsMaterial]:
-    """A colour shaded by the scene's lights, or of constant brightness: rgba, and the material
-    `target/<name>`.
+def _paint(scene: mujoco.MjSpec, name: str, rgb: Array, lit: bool) -> mujoco.MjsMaterial:
+    """The material `target/<name>` of a colour that the scene's lights shade, or of constant
+    brightness.
     """
-    rgba = [*(rgb if lit else rgb / GLOW), 1.0]
-    emission = 0.0 if lit else GLOW
-    return rgba, scene.add_material(
-        name=f"target/{name}", rgba=rgba, specular=0, shininess=0, emission=emission
+    return scene.add_material(
+        name=f"target/{name}",
+        rgba=[*(rgb if lit else rgb / GLOW), 1.0],
+        specular=0,
+        shininess=0,
+        emission=0.0 if lit else GLOW,
     )
+
+
+def _painted(
+    body: mujoco.MjsBody, name: str, kind: mujoco.mjtGeom, size: object, paint: mujoco.MjsMaterial
+) -> mujoco.MjsGeom:
+    """A part of the target: as `_visual`, of a material."""
+    geom = _visual(body, name, kind, size, paint.rgba, TARGET_GROUP)
+    geom.material = paint.name
+    return geom
 
 
 def _visual(
@@ -482,7 +477,7 @@ def _visual(
     name: str,
     kind: mujoco.mjtGeom,
     size: object,
-    rgba: list[float],
+    rgba: Sequence[float],
     group: int,
 ) -> mujoco.MjsGeom:
     """A geom without mass and collisions, and without the material of its body's class, which has
@@ -577,25 +572,14 @@ def _add_window(scene: mujoco.MjSpec, pane: WindowPane, i: int, sharpness: float
     """A pane of constant brightness, and its light, as `WindowPane` has it, for highlights of an
     exponent.
     """
-    T = pane.pose.T
     grey = min(pane.brightness, 1.0) / GLOW
     name = f"window_{i}"
     paint = scene.add_material(
         name=name, rgba=[grey, grey, grey, 1], specular=0, shininess=0, emission=GLOW
     )
-    body = scene.worldbody.add_body(name=name, pos=T[:3, 3], quat=quaternion_wxyz(T[:3, :3]))
+    body = scene.worldbody.add_body(name=name, **_at(pane.pose.T))
     size = [pane.width / 2, pane.height / 2, PANE_HALF_M]
-    kind = mujoco.mjtGeom.mjGEOM_BOX
-    body.add_geom(
-        name=name,
-        type=kind,
-        size=size,
-        rgba=paint.rgba,
-        material=name,
-        contype=0,
-        conaffinity=0,
-        mass=0,
-    )
+    _visual(body, name, GEOMS["box"], size, paint.rgba, 0).material = name
     # cos(b)^1 of a spot light is Lambert's law, 1/(1 + pi d^2/A) its attenuation
     body.add_light(
         name=name,

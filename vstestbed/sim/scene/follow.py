@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 
 from vstestbed.core.geometry import Array, inverse, transform
-from vstestbed.sim.scene.joint_chain import before, turned
-from vstestbed.sim.scene.meshes import RANGE_GROUP
+from vstestbed.sim.scene.joint_chain import before, names_of, turned
+from vstestbed.sim.scene.meshes import CORNERS, RANGE_GROUP
 from vstestbed.sim.scene.overview import (
     AZIMUTHS,
     LEAST_REACH,
@@ -54,7 +54,6 @@ plates, decoys and the floor.
 STRIPE = "target/line_"  # but not these: lines on the floor reach far
 # a ray that ends so near before its point has reached it: the lens lies within a housing [m]
 HIDDEN_M = 0.12
-CORNERS = np.array([[i, j, k] for i in (-1.0, 1.0) for j in (-1.0, 1.0) for k in (-1.0, 1.0)])
 RING = np.array([[math.cos(a), math.sin(a), 0.0] for a in np.arange(8) * math.pi / 4])
 UP = np.array([0.0, 0.0, 1.0])
 BOXES = np.vstack([CORNERS, CORNERS])
@@ -82,11 +81,11 @@ class Things:
 
     def __init__(self, model: mujoco.MjModel):
         # A robot may have geoms that are fixed to the world; those of a body may have no name.
-        roots = [model.body(int(model.body_rootid[body])).name for body in model.geom_bodyid]
-        names = [
-            model.geom(i).name if root == "world" else f"{root} {model.geom(i).name}"
-            for i, root in enumerate(roots)
-        ]
+        bodies = names_of(model, "body")
+        names = names_of(model, "geom")
+        for i, root in enumerate(model.body_rootid[model.geom_bodyid]):
+            if root > 0:
+                names[i] = f"{bodies[root]} {names[i]}"
         named = np.array([name.startswith(SHOWN) and STRIPE not in name for name in names])
         drawn = (model.geom_group != RANGE_GROUP) & (model.geom_rgba[:, 3] > 0)
         shown = np.flatnonzero(named & drawn)
@@ -129,8 +128,7 @@ class FixedView:
     def __init__(
         self, azimuth_deg: float, elevation_deg: float, distance_m: float, at: Array | None = None
     ):
-        (sa, se), (ca, ce) = (f(np.radians([azimuth_deg, elevation_deg])) for f in (np.sin, np.cos))
-        self._view = Axes.of(np.array([sa, -ca, 0.0]), np.array([-se * ca, -se * sa, ce]))
+        self._view = Axes.of(*slanting(math.radians(azimuth_deg), -math.radians(elevation_deg)))
         self._distance = distance_m
         self._at = at
 
@@ -219,11 +217,13 @@ class FollowCamera:
             if first or not holds(self._framed, self._extremes[1], view, self._edges):
                 self._framed = eye_of(self._extremes[0], view, self._tangents)
             return self._framed
+        eye = self._showing(view, around, beside)
+        if self._share(eye, view, around) >= LEAST_SHARE:
+            return eye
         middle = around.mean(axis=0)
         near = 0.0
         far = 1.0
-        eye = self._showing(view, around, beside)
-        for _ in range(BISECTIONS if self._share(eye, view, around) < LEAST_SHARE else 0):
+        for _ in range(BISECTIONS):
             share = (near + far) / 2
             eye = self._showing(view, around, middle + share * (beside - middle))
             if self._share(eye, view, around) >= LEAST_SHARE:
@@ -274,7 +274,7 @@ class FollowCamera:
         size = self._share(eye, view, around)
         at = self._stage.camera_pose()[:3, 3]
         slack = 2 * target.marker.radius
-        seen = [self._sees(eye, p, slack) for p in transform(T_target, target.places)]
+        seen = self._sees(eye, transform(T_target, target.places), slack)
         faces = 1.0
         if not target.marker.height_m:
             away = -T_target[:3, :3] @ target.normals.mean(axis=0)
@@ -285,7 +285,7 @@ class FollowCamera:
             size *= 0.8 + 0.2 * min(-float(UP @ view.ahead) / math.sin(ELEVATIONS[0]), 1.0)
         else:
             way = T_target[:3, 3] - at
-            seen.append(self._sees(eye, at, HIDDEN_M))
+            seen += self._sees(eye, at[None], HIDDEN_M)
             across = np.linalg.norm(np.cross(way, view.ahead))
             aside = float(across / max(np.linalg.norm(way), 1e-9))
         merit = (
@@ -297,11 +297,8 @@ class FollowCamera:
         # of views that are equally good the first wins, whatever the last bit of a sum is
         return round(merit, 6)
 
-    def _sees(self, eye: Array, point: Array, slack: float) -> bool:
-        """Whether nothing hides a point (3,) from the eye."""
-        return bool(
-            before(
-                self._stage.model, self._stage.data, eye, (point - eye)[None], slack, (RANGE_GROUP,)
-            )[0]
-            < 0
-        )
+    def _sees(self, eye: Array, points: Array, slack: float) -> list[bool]:
+        """Whether nothing hides points (N, 3) from the eye."""
+        stage = self._stage
+        hides = before(stage.model, stage.data, eye, points - eye, slack, (RANGE_GROUP,))
+        return (hides < 0).tolist()

@@ -7,7 +7,9 @@ from __future__ import annotations
 import functools
 import hashlib
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -84,7 +86,7 @@ def joint_chain(file: str, flange: str, names: tuple[str, ...]) -> JointChain:
             "flange", "site and no body of the file", _ends_of(model), flange
         )
     body, T_body_flange = at
-    joints = _joints_to(model, body)
+    joints = joints_to(model, body)
     found = tuple(model.joint(i).name for i in joints)
     _check(model, flange, joints, found, names)
     data = mujoco.MjData(model)
@@ -109,10 +111,10 @@ def joint_chain(file: str, flange: str, names: tuple[str, ...]) -> JointChain:
 def _ends_of(model: mujoco.MjModel) -> str:
     """What could be a flange, in words: the sites, or the bodies of a file without sites."""
     kind = "bodies"
-    there = [model.body(i).name for i in range(1, model.nbody)]
+    _, *there = names_of(model, "body")  # the first is the world
     if model.nsite:
         kind = "sites"
-        there = [model.site(i).name for i in range(model.nsite)]
+        there = names_of(model, "site")
     if not there:
         return "it has none"
     known = ", ".join(filter(None, there))
@@ -147,11 +149,10 @@ class Masses:
         spec = read_model(place_of_file(file))
         if load is not None:
             mass, *com, edge = load
-            at = spec.site(flange)
-            _, T_body_flange = self._flange(file, flange)
-            body = (at.parent if at else spec.body(flange)).add_body(
-                name="load", pos=T_body_flange[:3, :3] @ com + T_body_flange[:3, 3]
-            )
+            found = flange_in(compiled(file), flange)
+            assert found is not None  # the arm was made with it
+            T = found[1]
+            body = flange_body(spec, flange).add_body(name="load", pos=T[:3, :3] @ com + T[:3, 3])
             body.mass = mass
             body.inertia = [mass * edge**2 / 6] * 3
             body.explicitinertial = True
@@ -161,11 +162,6 @@ class Masses:
         self._places, self._dofs = places_of(self._model, joints)
         self._full = np.zeros((self._model.nv, self._model.nv))
         self._tau = np.zeros(self._model.nv)
-
-    def _flange(self, file: str, flange: str) -> tuple[int, np.ndarray]:
-        found = flange_in(compiled(file), flange)
-        assert found is not None  # the arm was made with it
-        return found
 
     def inverse(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         """See `robots.chain.ArmDynamics`."""
@@ -194,6 +190,13 @@ class Masses:
 def dynamics(file: str, flange: str, joints: tuple[str, ...], load: Load | None) -> Masses:
     """The masses of an arm by its file, with a load at its flange."""
     return Masses(str(model_path(file)), flange, joints, load)
+
+
+def names_of(
+    model: mujoco.MjModel, kind: Literal["body", "jnt", "geom", "site", "cam", "tex"]
+) -> list[str]:
+    """Names of all bodies, joints, geoms, ... of a model, by their numbers; "" for none."""
+    return [getattr(model, kind)(i).name for i in range(getattr(model, f"n{kind}"))]
 
 
 def placed(xyz: np.ndarray, R: np.ndarray) -> np.ndarray:
@@ -254,7 +257,14 @@ def flange_in(model: mujoco.MjModel, flange: str) -> tuple[int, np.ndarray] | No
     return (body, np.eye(4)) if body > 0 else None
 
 
-def _joints_to(model: mujoco.MjModel, body: int) -> list[int]:
+def flange_body(spec: mujoco.MjSpec, name: str) -> mujoco.MjsBody:
+    """The body that carries the camera: that of the site of this name, or the body itself."""
+    site = spec.site(name)
+    return site.parent if site else spec.body(name)
+
+
+def joints_to(model: mujoco.MjModel, body: int) -> list[int]:
+    """The joints from the root to a body."""
     joints: list[int] = []
     while body > 0:
         first = int(model.body_jntadr[body])
@@ -310,27 +320,25 @@ def _check_free(model: mujoco.MjModel, joints: list[int]) -> None:
     """Refuse constraints of the file that couple the arm's joints, with one another or with what
     stands: each is moved by itself here. Those of a gripper, beyond the flange or beside it, stay.
     """
+    works = "works: the file without it, or a flange before these joints"
     for i in np.flatnonzero(model.eq_active0).tolist():
-        if coupled := sorted(_coupled(model, i) & set(joints)):
+        if names := _names(model, _coupled(model, i), joints):
             kind = mujoco.mjtEq(model.eq_type[i]).name.removeprefix("mjEQ_").lower()
-            names = ", ".join(model.joint(j).name for j in coupled)
             of = "joint, such as a URDF's <mimic>" if kind == "joint" else kind
-            words = (
-                f"couples {names} (equality {of}), and each joint of an arm is moved by itself here"
-            )
-            raise ParameterError(
-                "file", f"{words}; works: the file without it, or a flange before these joints"
-            )
+            words = f"(equality {of}), and each joint of an arm is moved by itself here"
+            raise ParameterError("file", f"couples {', '.join(names)} {words}; {works}")
     for i in np.flatnonzero(model.tendon_limited).tolist():
-        if coupled := sorted(_spanned(model, i) & set(joints)):
-            names = ", ".join(model.joint(j).name for j in coupled)
+        if names := _names(model, _spanned(model, i), joints):
             words = (
-                f"limits {names} by the range of tendon {model.tendon(i).name or i},"
+                f"by the range of tendon {model.tendon(i).name or i},"
                 " and each joint of an arm has a range of its own here"
             )
-            raise ParameterError(
-                "file", f"{words}; works: the file without it, or a flange before these joints"
-            )
+            raise ParameterError("file", f"limits {', '.join(names)} {words}; {works}")
+
+
+def _names(model: mujoco.MjModel, some: set[int], joints: list[int]) -> list[str]:
+    """Names of those joints that are among some."""
+    return [model.joint(i).name for i in joints if i in some]
 
 
 def pulled(model: mujoco.MjModel, joints: list[int]) -> dict[str, list[str]]:
@@ -341,8 +349,8 @@ def pulled(model: mujoco.MjModel, joints: list[int]) -> dict[str, list[str]]:
     strong = np.abs(model.tendon_stiffness) + np.abs(model.tendon_damping)
     strong += np.abs(model.tendon_frictionloss) + np.abs(model.tendon_armature)
     for i in np.flatnonzero(strong).tolist():
-        if there := sorted(_spanned(model, i) & set(joints)):
-            found[model.tendon(i).name or str(i)] = [model.joint(j).name for j in there]
+        if names := _names(model, _spanned(model, i), joints):
+            found[model.tendon(i).name or str(i)] = names
     return found
 
 
@@ -363,7 +371,7 @@ def _coupled(model: mujoco.MjModel, equality: int) -> set[int]:
         one = int(model.site_bodyid[one])
         other = int(model.site_bodyid[other])
     # what moves both changes nothing between them
-    return set(_joints_to(model, one)) ^ set(_joints_to(model, other))
+    return set(joints_to(model, one)) ^ set(joints_to(model, other))
 
 
 def _spanned(model: mujoco.MjModel, tendon: int) -> set[int]:
@@ -380,9 +388,9 @@ def _spanned(model: mujoco.MjModel, tendon: int) -> set[int]:
         if kind == mujoco.mjtWrap.mjWRAP_JOINT:
             found.add(thing)
         elif kind == mujoco.mjtWrap.mjWRAP_SITE:
-            before.append(set(_joints_to(model, int(model.site_bodyid[thing]))))
+            before.append(set(joints_to(model, int(model.site_bodyid[thing]))))
         elif kind in (mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER):
-            before.append(set(_joints_to(model, int(model.geom_bodyid[thing]))))
+            before.append(set(joints_to(model, int(model.geom_bodyid[thing]))))
     # what moves all of them changes nothing between them
     return found | (set.union(*before) - set.intersection(*before) if before else set())
 
@@ -409,23 +417,30 @@ def drivers(model: mujoco.MjModel, joint: int) -> list[int]:
     return np.flatnonzero(alone & (model.actuator_trnid[:, 0] == joint)).tolist()
 
 
-def _torque(model: mujoco.MjModel, joints: list[int]) -> np.ndarray:
-    """Largest torque of each joint: its own, and that of the actuators on it, by their force or a
-    motor's control; else infinite.
+def force_limits(model: mujoco.MjModel, joints: Sequence[int] | np.ndarray) -> np.ndarray:
+    """Largest torque of each joint [Nm, N]: the lower of its own limit and that of the actuators on
+    it; infinite without both.
     """
     torque = np.full(len(joints), np.inf)
     for k, i in enumerate(joints):
         if model.jnt_actfrclimited[i]:
             torque[k] = model.jnt_actfrcrange[i, 1]
         for a in drivers(model, i):
-            gear = abs(model.actuator_gear[a, 0])
-            motor = model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE
             if model.actuator_forcelimited[a]:
-                torque[k] = min(torque[k], gear * model.actuator_forcerange[a, 1])
+                most = abs(model.actuator_gear[a, 0]) * model.actuator_forcerange[a, 1]
+                torque[k] = min(torque[k], most)
+    return torque
+
+
+def _torque(model: mujoco.MjModel, joints: list[int]) -> np.ndarray:
+    """`force_limits`, or what a motor's largest control makes of it, where that is lower."""
+    torque = force_limits(model, joints)
+    for k, i in enumerate(joints):
+        for a in drivers(model, i):
+            motor = model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE
             if motor and model.actuator_ctrllimited[a]:
-                torque[k] = min(
-                    torque[k], gear * model.actuator_gainprm[a, 0] * model.actuator_ctrlrange[a, 1]
-                )
+                gain = abs(model.actuator_gear[a, 0]) * model.actuator_gainprm[a, 0]
+                torque[k] = min(torque[k], gain * model.actuator_ctrlrange[a, 1])
     return torque
 
 

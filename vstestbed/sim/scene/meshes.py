@@ -4,6 +4,7 @@ and their triangles for viewers that have no MuJoCo.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -16,6 +17,7 @@ from vstestbed.effects.base import RANGE_GROUP
 from vstestbed.sim.scene.joint_chain import placed, turned
 
 __all__ = [
+    "CORNERS",
     "FACE_VIEWER",
     "GLOW",
     "HAND_PLATE",
@@ -38,6 +40,7 @@ PLAIN_RGBA = (0.5, 0.5, 0.5, 1.0)
 PAPER_RGB = (0.96, 0.96, 0.96)
 PRINT_M = 2e-4  # distance of a print before its box [m]
 ENDLESS_M = 20.0
+CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))  # of a box of half sizes 1
 # facets of round geoms round the axis, and from the equator to a pole
 AROUND = 24
 ALONG = 8
@@ -176,6 +179,7 @@ def _rgb(rgba: Array) -> tuple[float, float, float]:
 
 
 def _triangles(model: mujoco.MjModel, i: int) -> Array:
+    """Triangles (F, 3, 3) in the geom's frame, counter-clockwise from outside."""
     kind = int(model.geom_type[i])
     size = model.geom_size[i].astype(float)
     if kind == mujoco.mjtGeom.mjGEOM_MESH:
@@ -184,69 +188,45 @@ def _triangles(model: mujoco.MjModel, i: int) -> Array:
         count = int(model.mesh_vertnum[mesh])
         faces = model.mesh_face[int(model.mesh_faceadr[mesh]) :][: int(model.mesh_facenum[mesh])]
         return model.mesh_vert[first : first + count].astype(float)[faces]
-    if kind == mujoco.mjtGeom.mjGEOM_BOX:
-        return _box() * size
     if kind == mujoco.mjtGeom.mjGEOM_PLANE:
-        return _box()[-2:] * [*np.where(size[:2] > 0, size[:2], ENDLESS_M), 0.0]
-    if kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_ELLIPSOID):
-        return _turned(*_arc(0.0)) * (size if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID else size[0])
-    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
-        radius, z = _arc(size[1] / size[0])
-        return _turned(radius, z) * size[0]
+        x, y = np.where(size[:2] > 0, size[:2], ENDLESS_M).tolist()
+        corners = np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])
+        return corners[[[0, 1, 2], [0, 2, 3]]]
+    if kind == mujoco.mjtGeom.mjGEOM_BOX:
+        return _hull(CORNERS * size)
     if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
-        return (
-            _turned(np.array([0.0, 1.0, 1.0, 0.0]), np.array([-1.0, -1.0, 1.0, 1.0]))
-            * size[[0, 0, 1]]
-        )
+        return _hull(np.concatenate([_ring(size[0], z) for z in (-size[1], size[1])]))
+    if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
+        return _hull(_ball() * size)
+    if kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE):
+        ball = _ball() * size[0]  # of a sphere the second size is 0
+        return _hull(np.concatenate([ball + [0, 0, z] for z in (-size[1], size[1])]))
     return np.zeros((0, 3, 3))  # height fields and the like, which no bundled scene has
 
 
-def _box() -> Array:
-    faces = []
-    for axis in range(3):
-        for side in (-1.0, 1.0):
-            corners = np.full((4, 3), side)
-            # counter-clockwise seen from +axis
-            corners[:, (axis + 1) % 3] = -1, 1, 1, -1
-            corners[:, (axis + 2) % 3] = -1, -1, 1, 1
-            turned = corners[:: int(side)]
-            faces += [turned[[0, 1, 2]], turned[[0, 2, 3]]]
-    return np.array(faces)
+def _ring(radius: float, z: float) -> Array:
+    """Points (AROUND, 3) on a circle about the z axis."""
+    turn = np.arange(AROUND) * (2 * math.pi / AROUND)
+    return np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.full(AROUND, z)])
 
 
-def _arc(half: float) -> tuple[Array, Array]:
-    """Profile of a capsule of radius 1 whose cylinder has this half length, from pole to pole:
-    radii and heights.
-    """
-    angle = np.linspace(0, math.pi / 2, ALONG + 1)
-    radius = np.sin(angle)
-    z = half + np.cos(angle)
-    return np.concatenate([radius, radius[::-1]])[::-1], np.concatenate([z, -z[::-1]])[::-1]
+def _ball() -> Array:
+    """Points on a unit sphere, from pole to pole."""
+    angles = np.linspace(-math.pi / 2, math.pi / 2, 2 * ALONG + 1)
+    return np.concatenate([_ring(math.cos(angle), math.sin(angle)) for angle in angles])
 
 
-def _turned(radius: Array, z: Array) -> Array:
-    """The surface of revolution of a profile from below to above, (F, 3, 3)."""
-    turn = np.linspace(0, 2 * math.pi, AROUND + 1)
-    points = np.stack(
-        [
-            radius[:, None] * np.cos(turn),
-            radius[:, None] * np.sin(turn),
-            np.repeat(z[:, None], AROUND + 1, axis=1),
-        ],
-        axis=-1,
-    )
-    a = points[:-1, :-1]
-    b = points[:-1, 1:]
-    c = points[1:, 1:]
-    d = points[1:, :-1]
-    faces = np.concatenate(
-        [
-            np.stack([a, b, c], axis=-2).reshape(-1, 3, 3),
-            np.stack([a, c, d], axis=-2).reshape(-1, 3, 3),
-        ]
-    )
-    area = np.linalg.norm(np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0]), axis=1)
-    return faces[area > 1e-12]
+def _hull(points: Array) -> Array:
+    """The surface of the convex hull of points (N, 3), as `_triangles`."""
+    from scipy.spatial import ConvexHull  # here: viewers alone need it
+
+    hull = ConvexHull(points)
+    triangles = points[hull.simplices]
+    a, b, c = triangles.transpose(1, 0, 2)
+    # Qhull leaves open from which side they are counter-clockwise
+    inwards = (np.cross(b - a, c - a) * hull.equations[:, :3]).sum(axis=1) < 0
+    triangles[inwards] = triangles[inwards, ::-1]
+    return triangles
 
 
 # Groups of the scene's geoms, by which renderers and rays choose (0 the room, and these), a name,

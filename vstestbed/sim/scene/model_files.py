@@ -162,15 +162,14 @@ def _is_of_a_size(path: Path) -> None:
 def _asked_by(attributes: str, path: Path) -> float:
     """How much the attributes of an element ask for: the product of their counts."""
     total = 1.0
-    for name, value in ATTRIBUTE.findall(attributes):
-        if name not in COUNTS:
-            continue
-        with foreign(path, "numbers that say how much there is", of_field("file")):
-            for number in value.split():
-                total *= max(float(number.rstrip("KMGTPE")), 1.0) * UNITS.get(number[-1], 1)
+    counts = [value for name, value in ATTRIBUTE.findall(attributes) if name in COUNTS]
+    with foreign(path, "numbers that say how much there is", of_field("file")):
+        for number in " ".join(counts).split():
+            total *= max(float(number.rstrip("KMGTPE")), 1.0) * UNITS.get(number[-1], 1)
     return total
 
 
+NAME = re.compile(r"""\bname\s*=\s*["']([^"']*)""")
 ELEMENT_WITH = re.compile(r"""<([\w:.-]+)((?:\s+[\w:.-]+\s*=\s*(?:"[^"]*"|'[^']*'))+)""")
 # The largest numbers of a robot's file: of larger ones sums lose the rest, and products overflow.
 MOST_M = 1e6  # of a length [m]
@@ -207,12 +206,7 @@ def _has_real_numbers(path: Path) -> None:
     Raises ParameterError: `file`, with the element and the attribute.
     """
     text = _uncommented(path)
-    names = {
-        value
-        for found in ELEMENT_WITH.finditer(text)
-        for name, value in ATTRIBUTE.findall(found[2])
-        if name == "name"
-    }
+    names = set(NAME.findall(text))  # which may be `nan`, or look like a number
     after = ""
     for found in ELEMENT_WITH.finditer(text):
         element, attributes = found.groups()
@@ -319,10 +313,8 @@ def take_jpeg(model: mujoco.MjSpec, file: Path) -> None:
         path = file.parent / model.texturedir / texture.file
         if path.suffix.lower() in JPEG and path.is_file():
             texture.file = f"{number}_{path.stem}.png"
-            model.assets = {
-                **model.assets,
-                str(Path(model.texturedir) / texture.file): as_png(path),
-            }
+            asset = str(Path(model.texturedir) / texture.file)
+            model.assets = {**model.assets, asset: as_png(path)}
 
 
 LIBRARY = re.compile(r"(lib)?mujoco\.(so|dll|dylib|\d)")
@@ -352,10 +344,12 @@ def _carried(file: Path, folder: str, name: str, taken: dict[str, bytes], prefix
     if not name:
         return ""
     path = model_path(str(file)).parent / folder / name
-    own = path.with_suffix(".png").name if path.suffix.lower() in JPEG else path.name
+    own = path.name
+    if jpeg := path.suffix.lower() in JPEG:
+        own = path.with_suffix(".png").name
     # its end: file systems take 255 bytes, of which its own name may have all
     new = f"{prefix.strip('/')}_{len(taken)}_{own[-60:]}"
-    taken[f"{ASSETS}/{new}"] = as_png(path) if path.suffix.lower() in JPEG else path.read_bytes()
+    taken[f"{ASSETS}/{new}"] = as_png(path) if jpeg else path.read_bytes()
     return new
 
 
@@ -390,7 +384,8 @@ def cannot_compile(error: Exception, path: Path, works: str) -> ParameterError:
         line = _ends_at(path) if what == "PARSING" else int(line)
         return _told(_place(path, line), words, f"works: {works}")
     text = BEGINS.sub("", text)
-    line = int(found[1]) if (found := LINE.search(text)) else 0
+    found = LINE.search(text)
+    line = int(found[1]) if found else 0
     text = LINE.sub("", text)
     if named := MISSING.search(text):
         place = _place(path, line or line_with(named[1], path))

@@ -9,6 +9,7 @@ import numpy as np
 
 from vstestbed.core.geometry import Array
 from vstestbed.robots import Robot
+from vstestbed.sim.scene.meshes import CORNERS
 from vstestbed.targets.base import Target
 
 # The overview of a free camera stands this far behind the side (tangent), so that the markers'
@@ -29,6 +30,8 @@ AZIMUTHS = np.radians(np.arange(0, 360, 10))
 LIGHT_HEIGHT = 6.0
 # least half width of the shadows' depth map [m]; a tighter one speckles lit surfaces
 LEAST_REACH = 7.0
+# directions in the picture of its left, right, lower and upper edge
+SIDES = np.array([[-1.0, 0.0], [1.0, 0.0], [0.0, -1.0], [0.0, 1.0]])
 
 
 def frame_flight(scene: mujoco.MjSpec, robot: Robot, target: Target) -> None:
@@ -66,9 +69,7 @@ def frame_drive(scene: mujoco.MjSpec, places: Array, sights: Array, size: float)
     size: of the vehicle [m].
     """
     room = 0.6 * size + min(ROAM * float(np.linalg.norm(np.ptp(places[:, :2], axis=0))), ROAM_M)
-    corners = np.array(
-        [[i * room, j * room, k * size] for i in (-1, 1) for j in (-1, 1) for k in (0, 1)]
-    )
+    corners = CORNERS * [room, room, size / 2] + [0, 0, size / 2]
     points = np.concatenate([(places[:, None] + corners).reshape(-1, 3), sights])
     camera = scene.camera("overview")
     half_height = np.tan(np.radians(camera.fovy / 2))
@@ -151,15 +152,7 @@ def extremes(points: Array, axes: Axes, tangents: Array) -> Array:
     z), and x - cx >= -l (D + z) is l D - cx >= max(-x - l z). The same upwards.
     """
     x, y, z = (points @ axis for axis in axes)
-    left, to_right, down, to_up = tangents
-    return np.array(
-        [
-            (-x - left * z).max(),
-            (x - to_right * z).max(),
-            (-y - down * z).max(),
-            (y - to_up * z).max(),
-        ]
-    )
+    return (SIDES @ np.array([x, y]) - tangents[:, None] * z).max(axis=1)
 
 
 def eye_of(most: Array, axes: Axes, tangents: Array) -> Array:
@@ -176,9 +169,6 @@ def eye_of(most: Array, axes: Axes, tangents: Array) -> Array:
 
 def holds(eye: Array, most: Array, axes: Axes, tangents: Array) -> bool:
     """Whether a place (3,) satisfies extremes (4,)."""
-    across = axes.right @ eye
-    upwards = axes.up @ eye
+    place = np.array([axes.right @ eye, axes.up @ eye])
     distance = -(axes.ahead @ eye)
-    left, to_right, down, to_up = tangents * distance
-    room = np.array([left - across, across + to_right, down - upwards, upwards + to_up])
-    return bool((room >= most).all())
+    return bool((SIDES @ place + tangents * distance >= most).all())

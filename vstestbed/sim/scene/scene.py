@@ -20,7 +20,7 @@ from vstestbed.effects.base import RobotBody, StateIndices
 from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.gl_context import Physics
 from vstestbed.sim.scene.compose import compose
-from vstestbed.sim.scene.joint_chain import before, placed
+from vstestbed.sim.scene.joint_chain import before, names_of, placed
 from vstestbed.sim.scene.meshes import HAND_PLATE, LENS_GROUP, RANGE_GROUP
 
 __all__ = ["Scene"]
@@ -35,8 +35,7 @@ class Root:
 
     def __init__(self, model: mujoco.MjModel, prefix: str):
         self.body = model.body(f"{prefix}base").id
-        names = [model.joint(i).name for i in range(model.njnt)]
-        self.free = f"{prefix}root" in names
+        self.free = f"{prefix}root" in names_of(model, "jnt")
         if self.free:
             begin = model.joint(f"{prefix}root").qposadr[0]
             self._qpos = np.arange(begin, begin + 7)
@@ -265,7 +264,7 @@ class Scene:
     @property
     def body_names(self) -> list[str]:
         """Names of all bodies, by number."""
-        return [self.model.body(i).name for i in range(self.model.nbody)]
+        return names_of(self.model, "body")
 
     @property
     def body_poses(self) -> tuple[Array, Array]:

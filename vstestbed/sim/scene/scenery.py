@@ -40,9 +40,8 @@ SAME_HEIGHT_M = 1e-3  # faces nearer to one another than this flicker in picture
 # Brightness of a surface under the scene's lights, at most: its chroma in a picture is that of its
 # colour times this
 BRIGHTEST = 1.3
-CHROMA = (
-    60  # of pictures, from which on detectors by default take a pixel for a marker's [grey levels]
-)
+# of pictures, from which on detectors by default take a pixel for a marker's [grey levels]
+CHROMA = 60
 MOST_TOLD = 3
 LEFT_OUT = "cameras", "sensors", "keys", "equalities", "tendons"
 PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)

@@ -6,7 +6,6 @@ import colorsys
 import math
 import pathlib
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -170,9 +169,15 @@ class Clutter:
             if self.hues == "markers" and hues_deg:
                 hue_deg = hues_deg[int(hue * len(hues_deg))]
             decoy = Decoy(
-                xyz=pose.xyz, rpy_deg=pose.rpy_deg, shape=kind, radius=radius, hue_deg=hue_deg
+                xyz=pose.xyz,
+                rpy_deg=pose.rpy_deg,
+                shape=kind,
+                radius=radius,
+                hue_deg=hue_deg,
+                saturation=self.saturation,
+                albedo=self.albedo,
             )
-            decoys.append(replace(decoy, saturation=self.saturation, albedo=self.albedo))
+            decoys.append(decoy)
         return tuple(decoys)
 
 
@@ -231,14 +236,11 @@ class Light:
             path = self.path()
             if all(np.allclose(path(t)[:3, :3], np.eye(3), atol=1e-9) for t in SAMPLES_S):
                 words = (
-                    "must turn a lamp that is as far as the sun;"
-                    " works: {kind: sinusoid, amplitude: {rpy_deg: [20, 0, 0]},"
+                    "must turn a lamp that is as far as the sun; works: {kind: sinusoid,"
+                    " amplitude: {rpy_deg: [20, 0, 0]}, frequency_hz: 0.2},"
+                    " or give the lamp a place, xyz"
                 )
-                raise ParameterError(
-                    "motion",
-                    f"{words} frequency_hz: 0.2}}, or give the lamp a place, xyz",
-                    self.motion.kind,
-                )
+                raise ParameterError("motion", words, self.motion.kind)
 
     def path(self) -> Path:
         """Pose (4, 4) of the lamp as a function of time [s], at rest along the world's axes; of one
@@ -391,12 +393,11 @@ class World:
         """
         found = {f"plate_{i}": plate_path(plate) for i, plate in enumerate(self.plates)}
         for i, decoy in enumerate(self.distractors):
-            found[f"decoy_{i}"] = path_from(
-                Pose(xyz=decoy.xyz, rpy_deg=decoy.rpy_deg).T, decoy.motion
-            )
-        return found | (
-            {LAMP: self.light.path()} if self.light is not None and self.light.motion.moves else {}
-        )
+            rest = Pose(xyz=decoy.xyz, rpy_deg=decoy.rpy_deg).T
+            found[f"decoy_{i}"] = path_from(rest, decoy.motion)
+        if self.light is not None and self.light.motion.moves:
+            found[LAMP] = self.light.path()
+        return found
 
     @property
     def light_differs(self) -> bool:
