@@ -259,9 +259,9 @@ def test_a_calibration_is_less_exact_with_worse_joints(monkeypatch):
     pose.
     """
     monkeypatch.setattr(c, "OVER", {"joint_deg": (0.02, 0.1)})
-    lines = c.exactness(vs.load("arm_calibrate"), BOARD, 3)
-    assert len(lines) == 2 * 6  # five methods, and the bundle adjustment
-    small, large = (line["mm"] for line in lines if line["method"] == "bundle adjustment")
+    table = c.exactness(vs.load("arm_calibrate"), BOARD, 3)
+    assert len(table) == 2 * 6  # five methods, and the bundle adjustment
+    small, large = table.filter(method="bundle adjustment")["mm"]
     assert 2 * small < large < 12 * small
 
 
@@ -271,7 +271,7 @@ def test_a_run_of_arm_calibrate_finds_the_camera(tmp_path):
     run_into(tmp_path / "run", vs.load("arm_calibrate"), "none", report=False)
     truth, shots = c.shots_of_run(tmp_path / "run")
     made = c.calibrated(shots, BOARD, True, None)
-    mm, deg = c.errors_of(made, truth)["bundle adjustment"]
+    mm, deg = made.found.off(truth.camera.mount.T)["bundle adjustment"]
     assert len(made.views) == 15 and mm < 0.5 and deg < 0.05
     assert np.allclose(np.diag(made.camera.K)[:2], truth.camera.f, rtol=1e-3)
 

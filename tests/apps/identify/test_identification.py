@@ -233,6 +233,10 @@ def test_what_is_no_record_or_no_parameter_is_refused(record, tmp_path):
         idn.identify(record.select("t", "arrived", "u_0", "u_1", "u_2"), vs.load("omni_ibvs"))
     with pytest.raises(ScenarioError, match="unknown field"):
         idn.identify(record, vs.load("omni_ibvs"), [Parameter("robot.nothing", 0, 1)])
+    for field, words in (("robot.nothing", "unknown field"), ("robot.gains", "gains")):
+        with pytest.raises(ScenarioError, match=words):
+            fit = [Parameter(field, 0.5, 2, factor=True)]
+            idn.identify(record, vs.load("omni_ibvs"), fit)
     with pytest.raises(ScenarioError, match="realism"):
         vs.load("omni_ibvs", {"robot.realism": str(tmp_path / "no.yaml")})
 

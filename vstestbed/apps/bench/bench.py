@@ -16,9 +16,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
+import polars as pl
 from annotated_types import Len
 
 from vstestbed.core.errors import ParameterError
@@ -71,22 +72,14 @@ class IdealBench:
 
     def as_text(self) -> str:
         """The measurement as a table for the terminal."""
-        rows = (
-            (f"one run, {self.steps} steps", self.steps_per_s, self.run_low, self.run_high),
-            (f"{self.runs} runs at once", self.run_steps_per_s, self.batch_low, self.batch_high),
-        )
-        return "\n".join(
-            [
-                (
-                    f"ideal camera, four points, current L, true depth: median of {self.repeats},"
-                    f" on {self.cores:.2f} cores"
-                ),
-                f"  {'':26}{'steps a second':>16}{'lowest':>10}{'highest':>10}",
-                *(
-                    f"  {row:26}{mean:16.0f}{low:10.0f}{high:10.0f}"
-                    for row, mean, low, high in rows
-                ),
-            ]
+        one = f"one run, {self.steps} steps"
+        many = f"{self.runs} runs at once"
+        return (
+            f"ideal camera, four points, current L, true depth: median of {self.repeats},"
+            f" on {self.cores:.2f} cores\n"
+            f"  {'':26}{'steps a second':>16}{'lowest':>10}{'highest':>10}\n"
+            f"  {one:26}{self.steps_per_s:16.0f}{self.run_low:10.0f}{self.run_high:10.0f}\n"
+            f"  {many:26}{self.run_steps_per_s:16.0f}{self.batch_low:10.0f}{self.batch_high:10.0f}"
         )
 
 
@@ -98,23 +91,29 @@ def measure_ideal(repeats: int = 5, steps: int = 3000, runs: int = 1000) -> Idea
         raise ParameterError.count(
             "repeats, steps and runs", "1", "or more", (repeats, steps, runs)
         )
-    scenario, start = endless(steps), _starts(runs)
+    scenario = endless(steps)
+    start = _starts(runs)
+    alone_rates = []
+    together_rates = []
     with _one_core():
-        alone, together = _one_run(scenario), _batch(scenario, start)  # warms up
-        alone_rates, together_rates = [], []
-        wall, busy = time.perf_counter(), time.process_time()  # to see whether the core was shared
+        alone, _ = _one_run(scenario)  # warms up
+        together, _ = _batch(scenario, start)
+        wall = (
+            time.perf_counter()
+        )  # beside the processor's time it tells whether the core was shared
+        busy = time.process_time()
         for _ in range(repeats):
             alone_rates.append(_one_run(scenario)[1])
             together_rates.append(_batch(scenario, start)[1])
         cores = (time.process_time() - busy) / (time.perf_counter() - wall)
     return IdealBench(
         repeats=repeats,
-        steps=alone[0],
+        steps=alone,
         steps_per_s=statistics.median(alone_rates),
         run_low=min(alone_rates),
         run_high=max(alone_rates),
         runs=runs,
-        run_steps=together[0],
+        run_steps=together,
         run_steps_per_s=statistics.median(together_rates),
         batch_low=min(together_rates),
         batch_high=max(together_rates),
@@ -140,13 +139,12 @@ def _starts(runs: int) -> Array:
     deg about the optical axis.
     """
     rng = np.random.default_rng(0)
-    xyz, yaw = rng.uniform(-0.3, 0.3, (runs, 3)), rng.uniform(-60, 60, runs)
-    return np.array(
-        [
-            inverse(Pose(xyz=(x, y, z - 2), rpy_deg=(0, 0, a)).T)
-            for (x, y, z), a in zip(xyz.tolist(), yaw.tolist(), strict=True)
-        ]
-    )
+    xyz = rng.uniform(-0.3, 0.3, (runs, 3)) - [0, 0, 2]
+    yaw = rng.uniform(-60, 60, runs)
+    starts = []
+    for place, angle in zip(xyz.tolist(), yaw.tolist(), strict=True):
+        starts.append(inverse(Pose(xyz=place, rpy_deg=(0, 0, angle)).T))
+    return np.array(starts)
 
 
 def _one_run(scenario: Scenario) -> tuple[int, float]:
@@ -222,10 +220,9 @@ class Bench:
             f"  {'ms a frame':12}{'run':>8}{'floor':>8}",
         ]
         for part, value in self.ms_per_frame.items():
-            floor = self.floor_ms.get(part)
-            lines.append(
-                f"  {part:12}{value:8.3f}" + (f"{floor:8.3f}" if floor is not None else "")
-            )
+            lines.append(f"  {part:12}{value:8.3f}")
+            if part in self.floor_ms:
+                lines[-1] += f"{self.floor_ms[part]:8.3f}"
         return "\n".join(lines)
 
 
@@ -238,11 +235,9 @@ def measure(scenario: Scenario, repeats: int = 5) -> Bench:
     first = recordings[0]
     frames = len(first.table)
     # without films; `other` is what no part accounts for
-    named = [part for part in first.time_ms if part != "video"]
-    parts = {
-        part: statistics.median(r.time_ms[part] / frames for r in recordings) for part in named
-    }
-    whole = statistics.median(1e3 * r.loop_s / frames for r in recordings)
+    times = pl.DataFrame([r.time_ms for r in recordings]).drop("video", strict=False).median()
+    parts = {part: ms / frames for part, ms in times.row(0, named=True).items()}
+    whole = 1e3 * statistics.median(r.loop_s for r in recordings) / frames
     floors = np.array([floor for _, floor in pairs])
     physics, render = (np.median(floors, axis=0) * 1e3 / frames).tolist()
     return Bench(
@@ -273,20 +268,16 @@ def _floor(recording: Recording) -> tuple[float, float]:
     without the loop.
     """
     scenario = recording.scenario
-    robot = scenario.robot
-
-    def joined(kind: str, names: tuple[str, ...]) -> Array:
-        columns = [recording[f"{kind}_{name}"] for name in names]
-        return np.column_stack(columns) if columns else np.zeros((len(recording.table), 0))
-
-    T = np.array(recording.camera_poses().A)  # the floor renders the same views
-    ctrl = joined("ctrl", robot.body.actuators if robot.body else ())
+    body = scenario.robot.body
+    controls = [recording[f"ctrl_{name}"] for name in body.actuators] if body else []
+    joints = [recording[f"q_{name}"] for name in scenario.robot.joints]
+    frames = len(recording.table)
     return measure_baseline(
         scenario.scene,
         scenario.clock[1],
-        ctrl,
-        joined("q", robot.joints),
-        T,
+        np.reshape(controls, (len(controls), frames)).T,
+        np.reshape(joints, (len(joints), frames)).T,
+        np.array(recording.camera_poses().A),  # the floor renders the same views
         scenario.detector.needs_image,
     )
 
@@ -311,13 +302,11 @@ class BesideFloor:
 
     def __post_init__(self) -> None:
         """Refuse times without their floor."""
-        if len(self.seconds) != len(self.floor_seconds):
-            raise ParameterError.count(
-                "floor_seconds",
-                len(self.seconds),
-                "numbers, one for each of seconds",
-                len(self.floor_seconds),
-            )
+        n = len(self.seconds)
+        found = len(self.floor_seconds)
+        if n != found:
+            words = "numbers, one for each of seconds"
+            raise ParameterError.count("floor_seconds", n, words, found)
 
     @property
     def ratios(self) -> tuple[float, ...]:
@@ -341,9 +330,8 @@ def read_saved(path: Path) -> Suite:
     """What an earlier `bench --all --json` printed into a file. Raises ScenarioError: the file is
     not there, or holds something else.
     """
-    plain, marks = plain_mapping(
-        text_of(path), str(path), "`vstestbed bench --all --json` prints one"
-    )
+    works = "`vstestbed bench --all --json` prints one"
+    plain, marks = plain_mapping(text_of(path), str(path), works)
     return build(Suite, plain, marks, str(path))
 
 
@@ -367,10 +355,11 @@ class SpeedChange:
     def of(cls, before: BesideFloor, after: BesideFloor) -> SpeedChange:
         """The change of one benchmark."""
         share = after.ratio / before.ratio - 1
-        apart = after.ratios[0] > before.ratios[-1] or after.ratios[-1] < before.ratios[0]
-        verdict = (
-            ("slower" if share > 0 else "faster") if apart and abs(share) >= LEAST_CHANGE else ""
-        )
+        verdict = ""
+        if share >= LEAST_CHANGE and after.ratios[0] > before.ratios[-1]:
+            verdict = "slower"
+        elif share <= -LEAST_CHANGE and after.ratios[-1] < before.ratios[0]:
+            verdict = "faster"
         return cls(before.ratio, after.ratio, share, verdict)
 
 
@@ -428,10 +417,8 @@ class Suite:
     @classmethod
     def of(cls, timings: dict[str, BesideFloor]) -> Suite:
         """What was measured on this machine."""
-        machine = {
-            "processor": platform.processor() or platform.machine(),
-            "system": platform.platform(),
-        } | versions()
+        processor = platform.processor() or platform.machine()
+        machine = {"processor": processor, "system": platform.platform()} | versions()
         return cls(machine=machine, timings=timings)
 
     def as_text(self) -> str:
@@ -449,9 +436,8 @@ class Suite:
 def measure_one(floor: str, pair: Pair, repeats: int = 5) -> BesideFloor:
     """Measure a benchmark and its floor in turn, `repeats` times after one turn that warms up."""
     pairs = [pair() for _ in range(repeats + 1)][1:]
-    return BesideFloor(
-        floor=floor, seconds=tuple(a for a, _ in pairs), floor_seconds=tuple(b for _, b in pairs)
-    )
+    seconds, floor_seconds = zip(*pairs, strict=True)
+    return BesideFloor(floor=floor, seconds=seconds, floor_seconds=floor_seconds)
 
 
 def benchmarks() -> dict[str, tuple[str, Pair]]:
@@ -486,84 +472,87 @@ def _ideal() -> tuple[float, float]:
     """
     scenario = endless(IDEAL_STEPS)
     loop_s = uninterrupted(run(scenario)).loop_s
-    points, T, feature, gain = scenario.target.points, np.eye(4), Point(), 0.5
+    points = scenario.target.points
+    feature = Point()
+    gain = 0.5
+    T = np.eye(4)
     T[2, 3] = 1.5
     goal = points[:, :2] / 1.0
-    with _timed() as bare:
-        for _ in range(IDEAL_STEPS):
-            p = points @ T[:3, :3].T + T[:3, 3]
-            xy = p[:, :2] / p[:, 2:]
-            velocity = (
-                -gain * np.linalg.pinv(feature.interaction(xy, p[:, 2])) @ (xy - goal).ravel()
-            )
-            T = exp(-velocity * scenario.camera.period) @ T
-    return loop_s, bare[0]
+    began = time.perf_counter()
+    for _ in range(IDEAL_STEPS):
+        p = points @ T[:3, :3].T + T[:3, 3]
+        xy = p[:, :2] / p[:, 2:]
+        L = feature.interaction(xy, p[:, 2])
+        velocity = -gain * np.linalg.pinv(L) @ (xy - goal).ravel()
+        T = exp(-velocity * scenario.camera.period) @ T
+    return loop_s, time.perf_counter() - began
 
 
 def _folder(scenario: Scenario) -> tuple[float, float]:
     """A run with its folder, without films and report; and without a folder."""
-    with TemporaryDirectory(prefix="vstestbed_bench_") as folder, _timed() as whole:
-        uninterrupted(run_into(folder, scenario, "none", report=False))
-    with _timed() as alone:
-        uninterrupted(run(scenario))
-    return whole[0], alone[0]
+    whole_s = _filed_s(scenario, "none")
+    return whole_s, _seconds(lambda: uninterrupted(run(scenario)))
 
 
 def _filmed(scenario: Scenario) -> tuple[float, float]:
-    taken = []
-    for which in ("both", "none"):
-        with TemporaryDirectory(prefix="vstestbed_bench_") as folder, _timed() as one:
-            uninterrupted(run_into(folder, scenario, which, report=False))
-        taken += one
-    return taken[0], taken[1]
+    filmed_s = _filed_s(scenario, "both")
+    return filmed_s, _filed_s(scenario, "none")
 
 
 def _report(scenario: Scenario) -> tuple[float, float]:
     from vstestbed.report import write_report  # imported for this benchmark alone
 
-    with TemporaryDirectory(prefix="vstestbed_bench_") as folder:
-        with _timed() as alone:
-            uninterrupted(run_into(folder, scenario, "none", report=False))
-        with _timed() as report:
-            write_report(Path(folder))
-    return report[0], alone[0]
+    with _new_folder() as folder:
+        run_s = _run_into_s(folder, scenario, "none")
+        return _seconds(lambda: write_report(Path(folder))), run_s
 
 
 def _comparison() -> tuple[float, float]:
     """A comparison with all its files but films, and its runs alone, one after another, over the
     number of processes.
     """
-    with _timed() as alone:
+
+    def alone() -> None:
         for seed in range(RUNS):
             uninterrupted(run(replace(load("ibvs_book", IDEAL), seed=seed)))
-    with TemporaryDirectory(prefix="vstestbed_bench_") as folder, _timed() as whole:
-        compare(
-            ["ibvs_book"],
-            set=IDEAL,
-            seeds=RUNS,
-            jobs=JOBS,
-            out=Path(folder) / "comparison",
-            film=False,
+
+    alone_s = _seconds(alone)
+    with _new_folder() as folder:
+        out = Path(folder) / "comparison"
+        whole_s = _seconds(
+            lambda: compare(["ibvs_book"], set=IDEAL, seeds=RUNS, jobs=JOBS, out=out, film=False)
         )
-    return whole[0], alone[0] / JOBS
+    return whole_s, alone_s / JOBS
 
 
 def _first_frame() -> tuple[float, float]:
     """From the start of Python to the first frame of a run, and to the imports that any such
     program has.
     """
-    taken = []
-    for code in (FIRST, PROMPT):
-        with _timed() as one:
-            subprocess.run([sys.executable, "-c", code], check=True)
-        taken += one
-    return taken[0], taken[1]
+    first_s = _python_s(FIRST)
+    return first_s, _python_s(PROMPT)
 
 
-@contextmanager
-def _timed() -> Iterator[list[float]]:
-    """The wall time of a block [s], as the only item of a list."""
-    taken: list[float] = []
+def _python_s(code: str) -> float:
+    return _seconds(lambda: subprocess.run([sys.executable, "-c", code], check=True))
+
+
+def _new_folder() -> TemporaryDirectory[str]:
+    return TemporaryDirectory(prefix="vstestbed_bench_")
+
+
+def _filed_s(scenario: Scenario, films: Literal["both", "none"]) -> float:
+    """The wall time of a run with a folder, without its report [s]."""
+    with _new_folder() as folder:
+        return _run_into_s(folder, scenario, films)
+
+
+def _run_into_s(folder: str, scenario: Scenario, films: Literal["both", "none"]) -> float:
+    return _seconds(lambda: uninterrupted(run_into(folder, scenario, films, report=False)))
+
+
+def _seconds(do: Callable[[], object]) -> float:
+    """The wall time of what is done [s]."""
     began = time.perf_counter()
-    yield taken
-    taken.append(time.perf_counter() - began)
+    do()
+    return time.perf_counter() - began

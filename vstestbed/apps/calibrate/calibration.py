@@ -5,7 +5,6 @@ real robot.
 from __future__ import annotations
 
 import csv
-import itertools
 import logging
 import math
 import statistics
@@ -16,15 +15,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
+import polars as pl
 from scipy.spatial.transform import Rotation
 
 from vstestbed.apps.calibrate.hand_eye import (
     HandEye,
     View,
     calibrate,
-    chained,
     held_out,
     joint_jacobian,
+    posed,
     seen_from,
     turns,
 )
@@ -39,7 +39,14 @@ from vstestbed.core.errors import (
 )
 from vstestbed.core.files import write_whole
 from vstestbed.core.foreign import foreign, only_known, plain_file
-from vstestbed.core.geometry import Array, inverse, pose_from, rigid_error, unit_quaternion
+from vstestbed.core.geometry import (
+    Array,
+    inverse,
+    pose_from,
+    rpy_of,
+    transform,
+    unit_quaternion,
+)
 from vstestbed.core.lazy import cv2
 from vstestbed.loop.episode import BY_HAND, Episode
 from vstestbed.report.recorded_run import RecordedRun
@@ -199,20 +206,17 @@ def _chosen(views: Array, poses: Array) -> set[int]:
     ends = [int(np.flatnonzero(views == v)[-1]) for v in np.unique(views)][:MOST_VIEWS]
     if len(ends) > 3:
         return set(ends)
-    R, chosen = Rotation.from_matrix(poses[:, :3, :3]), ends or [0]
-    nearest = np.min(
-        [
-            (R * R[i].inv()).magnitude() + np.linalg.norm(poses[:, :3, 3] - poses[i, :3, 3], axis=1)
-            for i in chosen
-        ],
-        axis=0,
-    )
+    R = Rotation.from_matrix(poses[:, :3, :3])
+    places = poses[:, :3, 3]
+
+    def away_from(i: int) -> Array:
+        return (R * R[i].inv()).magnitude() + np.linalg.norm(places - places[i], axis=1)
+
+    chosen = ends or [0]
+    nearest = np.min([away_from(i) for i in chosen], axis=0)
     while len(chosen) < min(MOST_VIEWS, len(poses)) and nearest.max() > 0.02:
         chosen.append(int(nearest.argmax()))
-        far = (R * R[chosen[-1]].inv()).magnitude() + np.linalg.norm(
-            poses[:, :3, 3] - poses[chosen[-1], :3, 3], axis=1
-        )
-        nearest = np.minimum(nearest, far)
+        nearest = np.minimum(nearest, away_from(chosen[-1]))
     return set(chosen)
 
 
@@ -300,7 +304,6 @@ class Calibrated:
     found: HandEye
     held: Array
     unseen: list[str]
-    in_hand: bool
 
 
 def calibrated(
@@ -336,7 +339,8 @@ def calibrated(
     if known is None:
         camera, rms = intrinsics_of(corners, size, model)
     else:
-        camera, rms = known, math.nan
+        camera = known
+        rms = math.nan
         if size != (known.height, known.width):
             words = f"must have the camera's {known.width} x {known.height} px"
             raise ParameterError("pictures", words, size[::-1])
@@ -348,7 +352,7 @@ def calibrated(
     sigma = POSE_SIGMA if of_poses else joint_sigma
     pose = calibrate(views, camera, in_hand, pixel_sigma, sigma)
     held = held_out(views, camera, in_hand, pixel_sigma, sigma)
-    return Calibrated(camera, rms, views, pose, held, unseen, in_hand)
+    return Calibrated(camera, rms, views, pose, held, unseen)
 
 
 def intrinsics_of(
@@ -377,8 +381,12 @@ def intrinsics_of(
             " tilt the board by 20 to 40 degrees, about both of its axes"
         )
         raise ParameterError("pictures", words) from None
-    lens = Fisheye if model == "equidistant" else Perspective
-    return lens(intrinsics=found), rms / math.sqrt(2)  # OpenCV's is of points, here of coordinates
+    return _camera(found), rms / math.sqrt(2)  # OpenCV's is of points, here of coordinates
+
+
+def _camera(intrinsics: Intrinsics) -> Camera:
+    lens = Fisheye if intrinsics.model == "equidistant" else Perspective
+    return lens(intrinsics=intrinsics)
 
 
 def _opencv_calibrates(
@@ -387,9 +395,10 @@ def _opencv_calibrates(
     """RMS error of points [px], camera matrix and distortion."""
     if model == "equidistant":
         flags = cv2.CALIB_RECOMPUTE_EXTRINSIC | cv2.CALIB_FIX_SKEW
-        exact = [p.astype(float) for p in points], [p.astype(float) for p in uv]
+        p = [one.astype(float) for one in points]
+        pixels = [one.astype(float) for one in uv]
         no: Any = None
-        rms, K, k, _, _ = cv2.fisheye.calibrate(*exact, size, no, no, flags=flags)
+        rms, K, k, _, _ = cv2.fisheye.calibrate(p, pixels, size, no, no, flags=flags)
     else:
         flags = cv2.CALIB_RATIONAL_MODEL if model == "rational_polynomial" else 0
         rms, K, k, _, _ = cv2.calibrateCamera(points, uv, size, None, None, flags=flags)
@@ -422,26 +431,13 @@ def advice(made: Calibrated) -> list[str]:
 
 def _empty_ninths(made: Calibrated) -> list[str]:
     """The ninths of the picture without a corner, by their names."""
-    uv = np.concatenate([v.uv for v in made.views])
-    cells = np.floor(uv / (np.array([made.camera.width, made.camera.height]) / 3)).astype(int)
-    filled = set(map(tuple, np.clip(cells, 0, 2).tolist()))
-    places = itertools.product(
-        enumerate(("upper", "middle", "lower")), enumerate(("left", "middle", "right"))
-    )
-    return [f"{row} {column}" for (j, row), (i, column) in places if (i, j) not in filled]
-
-
-def errors_of(made: Calibrated, scenario: Scenario) -> dict[str, tuple[float, float]]:
-    """Of a simulated run: by how much each method's pose is off the true one [mm, deg], the bundle
-    adjustment's first.
-    """
-    true = scenario.camera.mount.T
-    found = {"bundle adjustment": made.found.X, **made.found.methods}
-    return {
-        name: (1e3 * d, math.degrees(a))
-        for name, X in found.items()
-        for d, a in [rigid_error(X, true)]
-    }
+    camera = made.camera
+    uv = np.concatenate([v.uv for v in made.views]).clip(0, [camera.width, camera.height])
+    bounds = [(0, camera.height), (0, camera.width)]
+    corners, _ = np.histogramdd(uv[:, ::-1], 3, bounds)
+    columns = ("left", "middle", "right")
+    names = [f"{row} {column}" for row in ("upper", "middle", "lower") for column in columns]
+    return [name for name, n in zip(names, corners.ravel(), strict=True) if not n]
 
 
 def write(
@@ -451,62 +447,53 @@ def write(
     from vstestbed.report.canvas import publish, style
     from vstestbed.report.pages import write_page
 
+    found = made.found
     comment = (
         f"{len(made.views)} views of {source};"
-        f" corners RMS {made.rms_px:.3f} px, by the hand-eye pose {made.found.rms_px:.3f} px"
+        f" corners RMS {made.rms_px:.3f} px, by the hand-eye pose {found.rms_px:.3f} px"
     )
-    write_calibration(folder / "calibration.yaml", made.camera, made.found.X, comment)
-    place, turn = 1e3 * made.found.sigma[0], np.degrees(made.found.sigma[1])
-    px, mm, deg = (
-        float(np.sqrt(np.nanmean(made.held[:, i] ** 2)))
-        if np.isfinite(made.held[:, i]).any()
-        else math.nan
-        for i in range(3)
-    )
-    where = "on the flange" if made.in_hand else "in the room"
+    write_calibration(folder / "calibration.yaml", made.camera, found.X, comment)
+    px, m, rad = np.sqrt(np.ma.masked_invalid(made.held**2).mean(axis=0)).filled(math.nan)
     sentences = [
-        (
-            f"The corners are {made.found.rms_px:.3f} px (RMS) from where the pose puts them;"
-            f" of views that were left out {px:.3f} px,"
-            f" {1e3 * mm:.2f} mm and {math.degrees(deg):.3f} degrees."
-        ),
-        *(
-            [f"The lens alone explains them to {made.rms_px:.3f} px."]
-            if math.isfinite(made.rms_px)
-            else ["The lens was given."]
-        ),
-        *([f"The board is not found in: {', '.join(made.unseen[:6])}."] if made.unseen else []),
-        *advice(made),
+        f"The corners are {found.rms_px:.3f} px (RMS) from where the pose puts them;"
+        f" of views that were left out {px:.3f} px,"
+        f" {1e3 * m:.2f} mm and {math.degrees(rad):.3f} degrees."
     ]
-    state = "open" if advice(made) else "good"
-    off = {} if truth is None else errors_of(made, truth)
+    if math.isfinite(made.rms_px):
+        sentences.append(f"The lens alone explains them to {made.rms_px:.3f} px.")
+    else:
+        sentences.append("The lens was given.")
+    if made.unseen:
+        sentences.append(f"The board is not found in: {', '.join(made.unseen[:6])}.")
+    advised = advice(made)
+    place, turn = _uncertainty(found)
+    where = "on the flange" if found.in_hand else "in the room"
     head = (
-        f"The camera {where} is known to {np.linalg.norm(place):.2f} mm and"
-        f" {np.linalg.norm(turn):.3f} degrees (one standard deviation)"
+        f"The camera {where} is known to {place:.2f} mm and"
+        f" {turn:.3f} degrees (one standard deviation)"
     )
-    if off:
-        head += (
-            f"; it is off the truth by {off['bundle adjustment'][0]:.2f} mm and"
-            f" {off['bundle adjustment'][1]:.3f} degrees"
-        )
-    tables = [_methods(made, off), _lens(made, truth), _per_view(made)]
+    off = {}
+    if truth is not None:
+        off = found.off(truth.camera.mount.T)
+        mm, deg = off["bundle adjustment"]
+        head += f"; it is off the truth by {mm:.2f} mm and {deg:.3f} degrees"
     with style():
-        plots = [
-            (
-                "Where the corners were",
-                publish(_drawn(made), "corners", "Corners in the pictures", None),
-                CAPTION,
-            )
-        ]
+        corners = publish(_drawn(made), "corners", "Corners in the pictures", None)
     return write_page(
         folder,
         "study.html",
         f"Calibration from {source}",
-        outcome=(head, state, sentences),
-        plots=plots,
-        tables=tables,
+        outcome=(head, "open" if advised else "good", sentences + advised),
+        plots=[("Where the corners were", corners, CAPTION)],
+        tables=[_methods(found, off), _lens(made, truth), _per_view(made)],
         command=command,
     )
+
+
+def _uncertainty(found: HandEye) -> tuple[float, float]:
+    """One standard deviation of the camera's place [mm], and of its rotation [deg]."""
+    place, turn = found.sigma
+    return 1e3 * float(np.linalg.norm(place)), math.degrees(np.linalg.norm(turn))
 
 
 CAPTION = (
@@ -516,59 +503,41 @@ CAPTION = (
 Table = tuple[str, list[str], list[list[str]]]
 
 
-def _methods(made: Calibrated, off: dict[str, tuple[float, float]]) -> Table:
-    heads = [
-        "Method",
-        "x [mm]",
-        "y [mm]",
-        "z [mm]",
-        "roll [deg]",
-        "pitch [deg]",
-        "yaw [deg]",
-        *(["off by [mm]", "off by [deg]"] if off else []),
-    ]
+def _methods(found: HandEye, off: dict[str, tuple[float, float]]) -> Table:
+    turns = ["roll [deg]", "pitch [deg]", "yaw [deg]"]
+    heads = ["Method", "x [mm]", "y [mm]", "z [mm]", *turns]
+    if off:
+        heads += ["off by [mm]", "off by [deg]"]
     lines = []
-    for name, X in {"bundle adjustment": made.found.X, **made.found.methods}.items():
-        yaw, pitch, roll = Rotation.from_matrix(X[:3, :3]).as_euler("ZYX", degrees=True)
-        own = [f"{1e3 * v:.2f}" for v in X[:3, 3]] + [f"{v:.3f}" for v in (roll, pitch, yaw)]
-        lines.append([name, *own, *([f"{off[name][0]:.2f}", f"{off[name][1]:.3f}"] if off else [])])
-    return (
-        "The camera's pose " + ("in the flange's frame" if made.in_hand else "in the robot's base"),
-        heads,
-        lines,
-    )
+    for name, X in found.poses.items():
+        place = [f"{1e3 * v:.2f}" for v in X[:3, 3]]
+        turn = [f"{v:.3f}" for v in rpy_of(X[:3, :3].tolist())]
+        lines.append([name, *place, *turn])
+        if off:
+            mm, deg = off[name]
+            lines[-1] += [f"{mm:.2f}", f"{deg:.3f}"]
+    frame = "in the flange's frame" if found.in_hand else "in the robot's base"
+    return f"The camera's pose {frame}", heads, lines
 
 
 def _lens(made: Calibrated, truth: Scenario | None) -> Table:
-    def numbers(camera: Any) -> list[str]:
-        fx, fy = np.broadcast_to(camera.focal, 2)
-        return [f"{v:.2f}" for v in (fx, fy, *camera.centre)] + [
-            ", ".join(f"{k:.4g}" for k in camera.lens_coefficients) or "none"
-        ]
+    def line(whose: str, camera: Any) -> list[str]:
+        numbers = (*np.broadcast_to(camera.focal, 2), *camera.centre)
+        distortion = ", ".join(f"{k:.4g}" for k in camera.lens_coefficients)
+        return [whose, *(f"{v:.2f}" for v in numbers), distortion or "none"]
 
-    lines = [["found" if math.isfinite(made.rms_px) else "given", *numbers(made.camera)]]
+    lines = [line("found" if math.isfinite(made.rms_px) else "given", made.camera)]
     if truth is not None and hasattr(truth.camera, "lens_coefficients"):
-        lines.append(["true", *numbers(truth.camera)])
+        lines.append(line("true", truth.camera))
     return "The lens", ["", "fx [px]", "fy [px]", "cx [px]", "cy [px]", "Distortion"], lines
 
 
 def _per_view(made: Calibrated) -> Table:
     lines = []
-    for v, (px, mm, deg) in zip(made.views, made.held, strict=True):
-        T = chained(made.found.X, made.found.fixed, v.T_base_flange[None], made.in_hand)[0]
-        rms = float(
-            np.sqrt(((made.camera.project(v.points @ T[:3, :3].T + T[:3, 3]) - v.uv) ** 2).mean())
-        )
-        lines.append(
-            [
-                v.name,
-                str(len(v.uv)),
-                f"{rms:.3f}",
-                f"{px:.3f}",
-                f"{1e3 * mm:.2f}",
-                f"{math.degrees(deg):.3f}",
-            ]
-        )
+    for v, (px, m, rad) in zip(made.views, made.held, strict=True):
+        rms = np.sqrt((v.errors(made.found.board_in(v), made.camera) ** 2).mean())
+        left_out = [f"{px:.3f}", f"{1e3 * m:.2f}", f"{math.degrees(rad):.3f}"]
+        lines.append([v.name, str(len(v.uv)), f"{rms:.3f}", *left_out])
     return "Views", ["Picture", "Corners", "RMS [px]", "Left out: RMS [px]", "[mm]", "[deg]"], lines
 
 
@@ -576,18 +545,15 @@ def _drawn(made: Calibrated) -> Figure:
     from vstestbed.report.canvas import new_figure
     from vstestbed.report.marks import LINE_COLORS
 
-    w, h = made.camera.width, made.camera.height
+    w = made.camera.width
+    h = made.camera.height
     drawn = new_figure(7.16 * 0.7 * h / w + 0.5, 7.16 * 0.7)
     axes = drawn.add_subplot()
     for v in made.views:
-        T = chained(made.found.X, made.found.fixed, v.T_base_flange[None], made.in_hand)[0]
-        error = made.camera.project(v.points @ T[:3, :3].T + T[:3, 3]) - v.uv
+        error = v.errors(made.found.board_in(v), made.camera)
         axes.plot(*v.uv.T, ".", markersize=2, color=LINE_COLORS[0])
-        axes.plot(
-            *np.stack([v.uv, v.uv + 200 * error]).transpose(2, 0, 1),
-            color=LINE_COLORS[1],
-            linewidth=0.6,
-        )
+        ends = np.stack([v.uv, v.uv + 200 * error]).transpose(2, 0, 1)
+        axes.plot(*ends, color=LINE_COLORS[1], linewidth=0.6)
     axes.set(xlim=(-0.5, w - 0.5), ylim=(h - 0.5, -0.5), xlabel="u [px]", ylabel="v [px]")
     axes.set_aspect("equal")
     return drawn
@@ -595,21 +561,17 @@ def _drawn(made: Calibrated) -> Figure:
 
 def told(made: Calibrated, truth: Scenario | None) -> list[str]:
     """The result in lines for a terminal."""
-    x, y, z = 1e3 * made.found.X[:3, 3]
-    yaw, pitch, roll = Rotation.from_matrix(made.found.X[:3, :3]).as_euler("ZYX", degrees=True)
-    place, turn = (
-        1e3 * np.linalg.norm(made.found.sigma[0]),
-        math.degrees(float(np.linalg.norm(made.found.sigma[1]))),
-    )
+    found = made.found
+    x, y, z = 1e3 * found.X[:3, 3]
+    roll, pitch, yaw = rpy_of(found.X[:3, :3].tolist())
+    place, turn = _uncertainty(found)
     lines = [
         f"{len(made.views)} views; xyz {x:.2f} {y:.2f} {z:.2f} mm,"
         f" rpy {roll:.3f} {pitch:.3f} {yaw:.3f} deg, +-{place:.2f} mm +-{turn:.3f} deg"
     ]
     if truth is not None:
-        lines += [
-            f"  off by    {mm:.2f} mm and {deg:.3f} deg by {name}"
-            for name, (mm, deg) in errors_of(made, truth).items()
-        ]
+        for name, (mm, deg) in found.off(truth.camera.mount.T).items():
+            lines.append(f"  off by    {mm:.2f} mm and {deg:.3f} deg by {name}")
     return lines + [f"  advice    {words}" for words in advice(made)]
 
 
@@ -620,18 +582,15 @@ def print_to(board: Board, path: Path) -> None:
 
 def camera_of(file: Path) -> Camera:
     """The camera of a calibration's file."""
-    found = read_intrinsics(str(file))
-    return (
-        Fisheye(intrinsics=found) if found.model == "equidistant" else Perspective(intrinsics=found)
-    )
+    return _camera(read_intrinsics(str(file)))
 
 
 # How exact a hand-eye calibration will be: by trial, over number of views, their turns, errors of
 # joints and of corners.
 BASE = {"views": 15.0, "turn_deg": 30.0, "joint_deg": 0.02, "corner_px": 0.1}
 OVER: dict[str, tuple[float, ...]] = {
-    "views": (5, 10, 15, 25, 40),
-    "turn_deg": (5, 10, 20, 30, 40),
+    "views": (5.0, 10.0, 15.0, 25.0, 40.0),
+    "turn_deg": (5.0, 10.0, 20.0, 30.0, 40.0),
     "joint_deg": (0.0, 0.01, 0.02, 0.05, 0.1),
     "corner_px": (0.05, 0.1, 0.3, 1.0),
 }
@@ -639,67 +598,53 @@ OVER: dict[str, tuple[float, ...]] = {
 
 def exactness(
     scenario: Scenario, board: Board, trials: int, tick: Callable[[], None] = lambda: None
-) -> list[dict[str, Any]]:
+) -> pl.DataFrame:
     """Errors of hand-eye calibrations of a scenario's arm and camera, over each of OVER with the
     others as in BASE, by simulated corners: a line for each, with the median and the 95 % quantile
     of each method's errors [mm, deg].
 
     Raises UnreachableError: the arm reaches no views of the board.
     """
-    lines = []
+    rows: list[dict[str, Any]] = []
     for name, values in OVER.items():
         for value in values:
             setting = {**BASE, name: value}
-            rng = np.random.default_rng(
-                [scenario.seed, *np.round(1e3 * np.array(list(setting.values()))).astype(int)]
-            )
-            off: dict[str, list[tuple[float, float]]] = {}
+            thousandths = np.round(1e3 * np.array(list(setting.values()))).astype(int)
+            rng = np.random.default_rng([scenario.seed, *thousandths])
             for _ in range(trials):
-                for method, error in _trial(scenario, board, rng, setting).items():
-                    off.setdefault(method, []).append(error)
+                off = _trial(scenario, board, rng, setting).off(scenario.camera.mount.T)
+                for method, (mm, deg) in off.items():
+                    rows.append({"over": name, **setting, "method": method, "mm": mm, "deg": deg})
                 tick()
-            for method, errors in off.items():
-                mm, deg = np.array(errors).T
-                row = {"over": name, **setting, "method": method, "trials": len(errors)}
-                row |= {"mm": float(np.median(mm)), "mm_95": float(np.quantile(mm, 0.95))}
-                lines.append(
-                    row | {"deg": float(np.median(deg)), "deg_95": float(np.quantile(deg, 0.95))}
-                )
-    return lines
+    groups = pl.DataFrame(rows).group_by("over", *BASE, "method", maintain_order=True)
+    return groups.agg(
+        trials=pl.len(),
+        mm=pl.median("mm"),
+        mm_95=pl.quantile("mm", 0.95, "linear"),
+        deg=pl.median("deg"),
+        deg_95=pl.quantile("deg", 0.95, "linear"),
+    )
 
 
 def _trial(
     scenario: Scenario, board: Board, rng: np.random.Generator, setting: dict[str, float]
-) -> dict[str, tuple[float, float]]:
-    """One calibration by drawn views: its errors [mm, deg] by method."""
-    camera, robot, joint = scenario.camera, scenario.robot, math.radians(setting["joint_deg"])
+) -> HandEye:
+    """One calibration by drawn views."""
+    camera = scenario.camera
+    robot = scenario.robot
+    pixel_sigma = setting["corner_px"]
+    joint_sigma = math.radians(setting["joint_deg"])
     corners = np.asarray(board.board().getChessboardCorners(), dtype=float)
     views: list[View] = []
-    for q, T_camera_board in _drawn_views(
-        scenario, board, rng, round(setting["views"]), setting["turn_deg"]
-    ):
-        uv = camera.project(corners @ T_camera_board[:3, :3].T + T_camera_board[:3, 3])
-        uv = uv + setting["corner_px"] * rng.standard_normal(uv.shape)
-        read = q + joint * rng.standard_normal(len(q))
+    drawn = _drawn_views(scenario, board, rng, round(setting["views"]), setting["turn_deg"])
+    for q, T_camera_board in drawn:
+        uv = camera.project(transform(T_camera_board, corners))
+        uv = uv + pixel_sigma * rng.standard_normal(uv.shape)
+        read = q + joint_sigma * rng.standard_normal(len(q))
         seen = seen_from(corners, uv, camera)
-        views.append(
-            View(
-                "",
-                robot.flange_pose(read),
-                corners,
-                uv,
-                seen,
-                joint_jacobian(robot.flange_pose, read),
-            )
-        )
-    made = calibrate(views, camera, True, max(setting["corner_px"], 1e-3), max(joint, 1e-6))
-    true = camera.mount.T
-    found = {"bundle adjustment": made.X, **made.methods}
-    return {
-        name: (1e3 * d, math.degrees(a))
-        for name, X in found.items()
-        for d, a in [rigid_error(X, true)]
-    }
+        J = joint_jacobian(robot.flange_pose, read)
+        views.append(View("", robot.flange_pose(read), corners, uv, seen, J))
+    return calibrate(views, camera, True, max(pixel_sigma, 1e-3), max(joint_sigma, 1e-6))
 
 
 def _drawn_views(
@@ -708,43 +653,34 @@ def _drawn_views(
     """Joints and T_camera_board of views that the arm reaches, and that show all of the board:
     turned about it by up to an angle.
     """
-    robot, camera = scenario.robot, scenario.camera
-    middle = np.array([board.columns, board.rows, 0]) * board.square_m / 2
-    corners = (
-        np.array([[x, y, 0] for x in (0, board.columns) for y in (0, board.rows)]) * board.square_m
-    )
-    shift = np.eye(4)
-    shift[:3, 3] = -middle
-    q0, made = robot.configuration(), 0
+    camera = scenario.camera
+    robot = scenario.robot
+    size = board.square_m * np.array([board.columns, board.rows, 0])
+    corners = size * [[0, 0, 0], [0, 1, 0], [1, 0, 0], [1, 1, 0]]
+    shift = posed(np.eye(3), -size / 2)
+    # the target's frame is in the board's middle
+    T_world_board = scenario.target.pose.T @ shift
+    q0 = robot.configuration()
+    made = 0
     for _ in range(200 * views):
         turn = rng.standard_normal(3)
         turn *= math.radians(turn_deg) * rng.random() ** (1 / 3) / np.linalg.norm(turn)
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = (
-            Rotation.from_rotvec(turn).as_matrix(),
-            [*rng.uniform(-0.08, 0.08, 2), rng.uniform(0.35, 0.6)],
-        )
-        T_camera_board = T @ shift
-        if not camera.inside(
-            camera.project(corners @ T_camera_board[:3, :3].T + T_camera_board[:3, 3]), 5.0
-        ).all():
+        R = Rotation.from_rotvec(turn).as_matrix()
+        place = [*rng.uniform(-0.08, 0.08, 2), rng.uniform(0.35, 0.6)]
+        T_camera_board = posed(R, np.array(place)) @ shift
+        if not camera.inside(camera.project(transform(T_camera_board, corners)), 5.0).all():
             continue
-        # the target's frame is in the board's middle
-        T_world_board = scenario.target.pose.T @ shift
+        T_world_camera = T_world_board @ inverse(T_camera_board)
         try:
-            q = robot.configuration_at(
-                T_world_board @ inverse(T_camera_board) @ inverse(camera.mount.T), q0
-            )
+            q = robot.configuration_at(T_world_camera @ inverse(camera.mount.T), q0)
         except UnreachableError:
             continue
         yield q, T_camera_board
         made += 1
         if made == views:
             return
-    raise UnreachableError(
-        "views",
-        f"of the board that the arm reaches are {made} of {views}; place the board elsewhere",
-    )
+    words = f"of the board that the arm reaches are {made} of {views}; place the board elsewhere"
+    raise UnreachableError("views", words)
 
 
 WORDS = {
@@ -755,93 +691,65 @@ WORDS = {
 }
 
 
-def write_table(
-    folder: Path, lines: list[dict[str, Any]], scenario: Scenario, command: str
-) -> Path:
+def write_table(folder: Path, table: pl.DataFrame, scenario: Scenario, command: str) -> Path:
     """Write `table.csv` and the page of `exactness` into a folder; the page's path."""
-    import polars as pl
-
     from vstestbed.report.canvas import publish, style
     from vstestbed.report.pages import write_page
 
-    write_whole(folder / "table.csv", pl.DataFrame(lines).write_csv())
-    tables = [
-        (
-            f"Over {words}",
-            [f"{words} [{unit}]" if unit else words, *_methods_in(lines)],
-            _rows_over(lines, name),
-        )
-        for name, (words, unit) in WORDS.items()
-    ]
-    base = ", ".join(
-        f"{words} {BASE[name]:g}{unit and ' ' + unit}" for name, (words, unit) in WORDS.items()
-    )
-    at_base = (line for line in lines if all(line[name] == value for name, value in BASE.items()))
-    best = next(line for line in at_base if line["method"] == "bundle adjustment")
-    head = f"{best['mm']:.2f} mm and {best['deg']:.3f} degrees with {base}"
-    about = (
-        f"The camera of {scenario.name} on its arm, {best['trials']} simulated calibrations a line."
-    )
+    write_whole(folder / "table.csv", table.write_csv())
+    methods = table["method"].unique(maintain_order=True)
+    tables = []
+    settings = []
+    for name, (words, unit) in WORDS.items():
+        tables.append((f"Over {words}", [_label(name), *methods], _rows_over(table, name)))
+        settings.append(f"{words} {BASE[name]:g}{unit and ' ' + unit}")
+    best = table.filter(**BASE, method="bundle adjustment").row(0, named=True)
+    head = f"{best['mm']:.2f} mm and {best['deg']:.3f} degrees with {', '.join(settings)}"
     said = [
-        about,
-        (
-            "In each table the others are as above:"
-            " errors in mm, in brackets that of 95 % of the calibrations, then in degrees."
-        ),
+        f"The camera of {scenario.name} on its arm,"
+        f" {best['trials']} simulated calibrations a line.",
+        "In each table the others are as above:"
+        " errors in mm, in brackets that of 95 % of the calibrations, then in degrees.",
     ]
     with style():
-        plots = [
-            (
-                "The bundle adjustment",
-                publish(_curves(lines), "exactness", "Errors of the hand-eye pose", None),
-                "Median, and 95 %.",
-            )
-        ]
+        curves = publish(_curves(table), "exactness", "Errors of the hand-eye pose", None)
     return write_page(
         folder,
         "study.html",
         "How exact a hand-eye calibration is",
         outcome=(head, "good", said),
-        plots=plots,
+        plots=[("The bundle adjustment", curves, "Median, and 95 %.")],
         tables=tables,
         command=command,
     )
 
 
-def _methods_in(lines: list[dict[str, Any]]) -> list[str]:
-    return list(dict.fromkeys(line["method"] for line in lines))
+def _label(name: str) -> str:
+    """A quantity of OVER with its unit."""
+    words, unit = WORDS[name]
+    return f"{words} [{unit}]" if unit else words
 
 
-def _rows_over(lines: list[dict[str, Any]], name: str) -> list[list[str]]:
+def _rows_over(table: pl.DataFrame, name: str) -> list[list[str]]:
     """The table over one quantity: each of its values with the errors of all methods."""
     rows = []
-    for value in OVER[name]:
-        those = {
-            line["method"]: line for line in lines if line["over"] == name and line[name] == value
-        }
-        row = [f"{value:g}"]
-        for method in _methods_in(lines):
-            line = those[method]
-            row.append(f"{line['mm']:.2f} ({line['mm_95']:.2f}), {line['deg']:.3f}")
-        rows.append(row)
+    for (value,), those in table.filter(over=name).group_by(name, maintain_order=True):
+        errors = those.select("mm", "mm_95", "deg").rows()
+        cells = [f"{mm:.2f} ({mm_95:.2f}), {deg:.3f}" for mm, mm_95, deg in errors]
+        rows.append([f"{value:g}", *cells])
     return rows
 
 
-def _curves(lines: list[dict[str, Any]]) -> Figure:
+def _curves(table: pl.DataFrame) -> Figure:
     from vstestbed.report.canvas import new_figure
     from vstestbed.report.marks import LINE_COLORS
 
     drawn = new_figure(2.6, 7.16)
-    for axes, (name, (words, unit)) in zip(
-        drawn.subplots(1, len(WORDS), sharey=True), WORDS.items(), strict=True
-    ):
-        those = [
-            line for line in lines if line["over"] == name and line["method"] == "bundle adjustment"
-        ]
-        x = [line[name] for line in those]
-        axes.plot(x, [line["mm"] for line in those], "o-", markersize=3, color=LINE_COLORS[0])
-        axes.plot(x, [line["mm_95"] for line in those], "--", color=LINE_COLORS[0])
+    for axes, name in zip(drawn.subplots(1, len(WORDS), sharey=True), WORDS, strict=True):
+        those = table.filter(over=name, method="bundle adjustment")
+        axes.plot(those[name], those["mm"], "o-", markersize=3, color=LINE_COLORS[0])
+        axes.plot(those[name], those["mm_95"], "--", color=LINE_COLORS[0])
         axes.set_yscale("log")
-        axes.set_xlabel(f"{words} [{unit}]" if unit else words)
+        axes.set_xlabel(_label(name))
     drawn.axes[0].set_ylabel("error [mm]")
     return drawn

@@ -17,7 +17,6 @@ import io
 import json
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import closing
-from fractions import Fraction
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -33,10 +32,9 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.outcome import Outcome
 from vstestbed.core.provenance import vstestbed_version
 from vstestbed.laws.policy import MOST_PX, action_unit
-from vstestbed.loop.ego_motion import mount_at
+from vstestbed.loop.ego_motion import believed_mount, mount_at, start_basis
 from vstestbed.report.recorded_run import ExportFormat, ExportRequest, RecordedRun, unit_of_joint
 from vstestbed.report.video.writer import DATASET, VideoWriter
-from vstestbed.robots import Mount
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.judged import Reward, in_a_frame, potential
 from vstestbed.tasks.metrics import TWIST
@@ -53,7 +51,18 @@ from vstestbed.tasks.metrics import TWIST
 IMAGE = "observation.image"
 Features = dict[str, dict[str, Any]]
 Numbers = dict[str, NDArray[Any]]  # Values of features by name, (frames, k) each
-COUNTERS = ("frame_index", "episode_index", "index", "task_index")
+NUMBERS = {
+    "sim_time": "float64",
+    "next.reward": "float32",
+    "next.done": "bool",
+    "next.success": "bool",
+    "timestamp": "float32",
+    "frame_index": "int64",
+    "episode_index": "int64",
+    "index": "int64",
+    "task_index": "int64",
+}
+"""Features that are one number each, after the others."""
 SENSOR_UNITS = dict.fromkeys(("odo_x", "odo_y", "range"), "m") | {
     name: "m/s" if name[0] == "v" else "rad/s" for name in TWIST
 }
@@ -87,21 +96,21 @@ def features_of(scenario: Scenario, state: tuple[str, ...]) -> Features:
         }
     }
     if state:
-        found["observation.state"] = _vector(
-            [f"{name} [{_unit_of(name, scenario)}]" for name in state]
-        )
+        units = [_unit_of(name, scenario) for name in state]
+        found["observation.state"] = _vector(_with_units(state, units))
     found["action"] = _vector(_action_names(scenario))
     if n:
         pixels = [f"{name} [px]" for name in _of_markers(n, "")]
         found["markers"] = _vector(pixels)
         found["seen"] = _vector([f"marker_{i}" for i in range(n)])
         found["goal"] = _vector(pixels)
-    found["sim_time"] = _number("float64")
-    found["next.reward"] = _number("float32")
-    found["next.done"] = _number("bool")
-    found["next.success"] = _number("bool")
-    found["timestamp"] = _number("float32")
-    return found | {name: _number("int64") for name in COUNTERS}
+    for name, dtype in NUMBERS.items():
+        found[name] = {"dtype": dtype, "shape": [1], "names": None}
+    return found
+
+
+def _with_units(names: Iterable[str], units: Iterable[str]) -> list[str]:
+    return [f"{name} [{unit}]" for name, unit in zip(names, units, strict=True)]
 
 
 def _unit_of(sensor: str, scenario: Scenario) -> str:
@@ -180,8 +189,9 @@ def actions(scenario: Scenario, log: dict[str, Array]) -> Array:
     """The commands along the robot's motions (of an arm under six joints those at the exposure), in
     [-1, 1]: u = pinv(basis) twist.
     """
-    robot, mount = scenario.robot, Mount.of(scenario.believed_camera.mount.T)
-    unit = action_unit(scenario.law.limits, robot.motion_basis(mount, robot.start_joints()))
+    robot = scenario.robot
+    mount = believed_mount(scenario)
+    unit = action_unit(scenario.law.limits, start_basis(scenario))
     twists = _side_by_side(log, [f"cmd_{name}" for name in TWIST])
     joints = np.array([log[f"q_{name}"] for name in robot.joints]).reshape(-1, len(twists))
     found = []
@@ -198,19 +208,13 @@ def _pixels(uv: Array) -> Array:
 
 def _action_names(scenario: Scenario) -> list[str]:
     """Names of the motions, each with the velocity of an action of 1."""
-    robot = scenario.robot
-    basis = robot.motion_basis(Mount.of(scenario.believed_camera.mount.T), robot.start_joints())
-    most, turns = action_unit(scenario.law.limits, basis), np.abs(basis[3:]).max(axis=0) > 1e-9
-    names = TWIST if basis.shape[1] == 6 else [f"motion_{i}" for i in range(basis.shape[1])]
-    units = ["rad/s" if turn else "m/s" for turn in turns]
-    return [
-        f"{name} [{value:g} {unit}]"
-        for name, value, unit in zip(names, most.tolist(), units, strict=True)
-    ]
-
-
-def _number(dtype: str) -> dict[str, Any]:
-    return {"dtype": dtype, "shape": [1], "names": None}
+    basis = start_basis(scenario)
+    n = basis.shape[1]
+    names = TWIST if n == 6 else [f"motion_{i}" for i in range(n)]
+    turns = np.abs(basis[3:]).max(axis=0) > 1e-9
+    most = action_unit(scenario.law.limits, basis)
+    units = [f"{v:g} {'rad/s' if turn else 'm/s'}" for v, turn in zip(most, turns, strict=True)]
+    return _with_units(names, units)
 
 
 def _vector(names: list[str]) -> dict[str, Any]:
@@ -246,25 +250,24 @@ def together(parts: list[Statistics]) -> Statistics:
     """Of several episodes; quantiles are the mean of the episodes', weighted by their frames, as
     LeRobot takes them.
     """
-    counts = np.array([part["count"][0] for part in parts], dtype=float)
-    weights = counts / counts.sum()
+    counts = np.array([part["count"][0] for part in parts])
 
-    def mean(name: str) -> Array:
-        return np.tensordot(weights, np.array([part[name] for part in parts]), axes=1)
+    def of_all(name: str) -> Array:
+        return np.array([part[name] for part in parts])
 
-    square = np.tensordot(
-        weights, np.array([part["std"] ** 2 + part["mean"] ** 2 for part in parts]), axes=1
-    )
+    def mean(values: Array) -> Array:
+        return np.average(values, axis=0, weights=counts)
+
+    middle = mean(of_all("mean"))
+    square = mean(of_all("std") ** 2 + of_all("mean") ** 2)
     found = {
-        "min": np.min([part["min"] for part in parts], axis=0),
-        "max": np.max([part["max"] for part in parts], axis=0),
+        "min": of_all("min").min(axis=0),
+        "max": of_all("max").max(axis=0),
+        "mean": middle,
+        "std": np.sqrt(np.maximum(square - middle**2, 0.0)),
+        "count": of_all("count").sum(axis=0),
     }
-    found |= {
-        "mean": mean("mean"),
-        "std": np.sqrt(np.maximum(square - mean("mean") ** 2, 0.0)),
-        "count": np.array([int(counts.sum())]),
-    }
-    return found | {name: mean(name) for name in QUANTILES}
+    return found | {name: mean(of_all(name)) for name in QUANTILES}
 
 
 def level_counts(image: Image) -> Array:
@@ -281,30 +284,29 @@ def picture_statistics(counts: Array, pictures: int) -> Statistics:
     1) each.
     """
     share = counts / counts.sum(axis=1, keepdims=True)
-    grey, upto = np.arange(256.0), share.cumsum(axis=1)
+    upto = share.cumsum(axis=1)
+    grey = np.arange(256.0)
     mean = share @ grey
     found = {
         "min": (share > 0).argmax(axis=1),
         "max": 255 - (share[:, ::-1] > 0).argmax(axis=1),
         "mean": mean,
+        "std": np.sqrt(np.maximum(share @ grey**2 - mean**2, 0.0)),
     }
-    found["std"] = np.sqrt(np.maximum(share @ grey**2 - mean**2, 0.0))
     found |= {name: (upto >= q - 1e-12).argmax(axis=1) for name, q in QUANTILES.items()}
-    return {name: (value / 255).reshape(3, 1, 1) for name, value in found.items()} | {
-        "count": np.array([pictures])
-    }
+    of_channels = {name: (value / 255).reshape(3, 1, 1) for name, value in found.items()}
+    return {**of_channels, "count": np.array([pictures])}
 
 
 VERSION = "v3.0"
 FILES_IN_CHUNK = 1000
-DATA_MB, VIDEO_MB = 100, 200  # Most megabytes of a file, unless one episode has more
+DATA_MB = 100  # most megabytes of a file, unless one episode has more
+VIDEO_MB = 200
 EPISODES_IN_FILE = 1000
 NUMBERED = "chunk-{chunk_index:03d}/file-{file_index:03d}"
-DATA, VIDEO, EPISODES = (
-    f"data/{NUMBERED}.parquet",
-    f"videos/{{video_key}}/{NUMBERED}.mp4",
-    f"meta/episodes/{NUMBERED}.parquet",
-)
+DATA = f"data/{NUMBERED}.parquet"
+VIDEO = f"videos/{{video_key}}/{NUMBERED}.mp4"
+EPISODES = f"meta/episodes/{NUMBERED}.parquet"
 ARROW_NOTE = b"ARROW:schema"
 TYPES = {"float32": pl.Float32, "float64": pl.Float64, "int64": pl.Int64, "bool": pl.Boolean}
 
@@ -339,9 +341,12 @@ class DatasetWriter:
     """Writes a dataset into a folder episode by episode; within, task: see `write_dataset`."""
 
     def __init__(self, folder: Path, within: Path | None = None, task: str | None = None):
-        self._folder, self._within, self._task = folder, within, task
-        self._features: Features | None = None
-        self._first: RecordedRun | None = None
+        self._folder = folder
+        self._within = within
+        self._task = task
+        self._first: RecordedRun
+        self._state: tuple[str, ...]
+        self._features: Features = {}
         self._tasks: dict[str, int] = {}
         self._frames = self._episodes = self._in_film = 0
         self._data: list[pl.DataFrame] = []
@@ -357,51 +362,38 @@ class DatasetWriter:
         """
         numbers, state = numbers_of(run)
         self._check(run, state)
-        n, task = (
-            len(numbers["timestamp"]),
-            self._task or run.scenario.description or run.scenario.name,
-        )
-        numbers |= {
-            "episode_index": np.full((n, 1), self._episodes),
-            "index": np.arange(self._frames, self._frames + n)[:, None],
-            "task_index": np.full((n, 1), self._tasks.setdefault(task, len(self._tasks))),
+        n = len(numbers["timestamp"])
+        task = self._task or run.scenario.description or run.scenario.name
+        number = self._tasks.setdefault(task, len(self._tasks))
+        numbers["episode_index"] = np.full((n, 1), self._episodes)
+        numbers["index"] = np.arange(self._frames, self._frames + n)[:, None]
+        numbers["task_index"] = np.full((n, 1), number)
+        row: dict[str, Any] = {
+            "episode_index": self._episodes,
+            "tasks": [task],
+            "length": n,
+            "dataset_from_index": self._frames,
+            "dataset_to_index": self._frames + n,
         }
         film = self._film(run)
-        began, counts = Fraction(self._in_film) / film.rate, np.zeros((3, 256))
+        row |= _under("data", _place(self._files["data"]))
+        row |= _under(f"videos/{IMAGE}", _place(len(self._films) - 1))
+        row |= _under("meta/episodes", _place(self._files["episodes"]))
+        row[f"videos/{IMAGE}/from_timestamp"] = float(self._in_film / film.rate)
+        counts = np.zeros((3, 256))
         for frame in islice(run.frames(), n):  # a run that goes on may have more by now
             film.write(frame.picture)
             counts += level_counts(frame.picture)
             tick()
         self._in_film += n
-        found = {IMAGE: picture_statistics(counts, n)} | {
-            name: statistics(values) for name, values in numbers.items()
-        }
-        where = {
-            "data": self._files["data"],
-            f"videos/{IMAGE}": len(self._films) - 1,
-            "meta/episodes": self._files["episodes"],
-        }
-        row: dict[str, Any] = {"episode_index": self._episodes, "tasks": [task], "length": n}
-        row |= {"dataset_from_index": self._frames, "dataset_to_index": self._frames + n}
-        row |= {
-            f"{name}/{key}": value
-            for name, number in where.items()
-            for key, value in _place(number).items()
-        }
-        row |= {
-            f"videos/{IMAGE}/from_timestamp": float(began),
-            f"videos/{IMAGE}/to_timestamp": float(Fraction(self._in_film) / film.rate),
-        }
-        row |= {
-            "vstestbed/run": run.place(self._within),
-            "vstestbed/seed": run.scenario.seed,
-            "vstestbed/outcome": run.outcome,
-        }
-        row |= {
-            f"stats/{name}/{key}": value.tolist()
-            for name, of in found.items()
-            for key, value in of.items()
-        }
+        row[f"videos/{IMAGE}/to_timestamp"] = float(self._in_film / film.rate)
+        row["vstestbed/run"] = run.place(self._within)
+        row["vstestbed/seed"] = run.scenario.seed
+        row["vstestbed/outcome"] = run.outcome
+        found = {IMAGE: picture_statistics(counts, n)}
+        found |= {name: statistics(values) for name, values in numbers.items()}
+        for name, of in found.items():
+            row |= _under(f"stats/{name}", _listed(of))
         self._add(numbers, row, found)
         self._taken[run.how_taken] = None
 
@@ -411,45 +403,35 @@ class DatasetWriter:
             film.close()
         self._write_data()
         self._write_episodes()
-        assert self._first is not None and self._features is not None
-        stats = {
-            name: {key: value.tolist() for key, value in of.items()}
-            for name, of in self._statistics.items()
-        }
-        self._write_json("meta/stats.json", stats)
-        info = {"codebase_version": VERSION, "robot_type": self._first.scenario.robot.kind}
-        info |= {
+        scenario = self._first.scenario
+        stats = {name: _listed(of) for name, of in self._statistics.items()}
+        self._write_json("stats", stats)
+        info = {
+            "codebase_version": VERSION,
+            "robot_type": scenario.robot.kind,
             "total_episodes": self._episodes,
             "total_frames": self._frames,
             "total_tasks": len(self._tasks),
-        }
-        info |= {
             "chunks_size": FILES_IN_CHUNK,
             "data_files_size_in_mb": DATA_MB,
             "video_files_size_in_mb": VIDEO_MB,
+            "fps": rate_of(scenario),
+            "splits": {"train": f"0:{self._episodes}"},
+            "data_path": DATA,
+            "video_path": VIDEO,
+            "features": self._features,
         }
-        info |= {"fps": rate_of(self._first.scenario), "splits": {"train": f"0:{self._episodes}"}}
-        self._write_json(
-            "meta/info.json",
-            info | {"data_path": DATA, "video_path": VIDEO, "features": self._features},
-        )
+        self._write_json("info", info)
+        state = "of the robot's own sensors, as the log has them; of joints the true positions"
+        sensors = scenario.robot.proprioception_names
         about = {
             "vstestbed": vstestbed_version(),
             "pictures": list(self._taken),
             "videos": "H.264, yuv420p by BT.601, crf 20",
+            "agent_pos_without": [name for name in sensors if name not in self._state],
+            "state": state,
         }
-        missing = [
-            name
-            for name in self._first.scenario.robot.proprioception_names
-            if name not in self._state_names
-        ]
-        about |= {
-            "agent_pos_without": missing,
-            "state": (
-                "of the robot's own sensors, as the log has them; of joints the true positions"
-            ),
-        }
-        self._write_json("meta/vstestbed.json", about)
+        self._write_json("vstestbed", about)
         tasks = pl.DataFrame({"task_index": list(self._tasks.values()), "task": list(self._tasks)})
         self._write_parquet("meta/tasks.parquet", tasks, {"pandas": json.dumps(_INDEXED_BY_TASK)})
 
@@ -461,33 +443,23 @@ class DatasetWriter:
     def _check(self, run: RecordedRun, state: tuple[str, ...]) -> None:
         """Refuse a run whose frames hold something else."""
         features = features_of(run.scenario, state)
-        if self._first is None:
-            self._first, self._features, self._state_names = run, features, state
+        if not self._features:
+            self._first = run
+            self._features = features
+            self._state = state
             return
-        assert self._features is not None
-        wrong = next(
-            (
-                name
-                for name in {**self._features, **features}
-                if self._features.get(name) != features.get(name)
-            ),
-            None,
-        )
-        names, kinds = (
-            [r.place(self._within) for r in (self._first, run)],
-            [r.scenario.robot.kind for r in (self._first, run)],
-        )
-        if wrong is None and kinds[0] == kinds[1]:
+        both = (self._first, run)
+        kinds = [r.scenario.robot.kind for r in both]
+        names = self._features | features
+        wrong = [name for name in names if self._features.get(name) != features.get(name)]
+        if wrong:
+            what = f"{wrong[0]} (shape, rate or names)"
+        elif kinds[0] != kinds[1]:
+            what = f"robots ({' and '.join(kinds)})"
+        else:
             return
-        what = (
-            f"robots ({' and '.join(kinds)})"
-            if wrong is None
-            else f"{wrong} (shape, rate or names)"
-        )
-        words = (
-            f"holds runs that differ in {what}: {names[0]} and {names[1]};"
-            " a dataset's frames are all alike"
-        )
+        places = " and ".join(r.place(self._within) for r in both)
+        words = f"holds runs that differ in {what}: {places}; a dataset's frames are all alike"
         raise ParameterError("DIR", words)
 
     def _film(self, run: RecordedRun) -> VideoWriter:
@@ -503,18 +475,16 @@ class DatasetWriter:
 
     def _add(self, numbers: Numbers, row: dict[str, Any], found: dict[str, Statistics]) -> None:
         """An episode is complete."""
-        assert self._features is not None
-        columns = {
-            name: _series(name, numbers[name], f)
-            for name, f in self._features.items()
-            if f["dtype"] != "video"
-        }
+        columns = [
+            _series(name, numbers[name], feature)
+            for name, feature in self._features.items()
+            if name != IMAGE
+        ]
         self._data.append(pl.DataFrame(columns))
         self._rows.append(row)
         for name, of in found.items():
-            self._statistics[name] = together(
-                [self._statistics[name], of] if name in self._statistics else [of]
-            )
+            before = self._statistics.get(name)
+            self._statistics[name] = of if before is None else together([before, of])
         self._episodes += 1
         self._frames += row["length"]
         if sum(part.estimated_size() for part in self._data) > DATA_MB * 1e6 / 2:
@@ -536,10 +506,8 @@ class DatasetWriter:
             self._rows = []
 
     def _write_json(self, name: str, content: dict[str, Any]) -> None:
-        write_whole(
-            make_folder((self._folder / name).parent) / Path(name).name,
-            json.dumps(content, indent=4, ensure_ascii=False) + "\n",
-        )
+        text = json.dumps(content, indent=4, ensure_ascii=False) + "\n"
+        write_whole(make_folder(self._folder / "meta") / f"{name}.json", text)
 
     def _write_parquet(
         self, name: str, table: pl.DataFrame, metadata: dict[str, str] | None = None
@@ -549,11 +517,11 @@ class DatasetWriter:
         content = io.BytesIO()
         table.write_parquet(content, compression="snappy", metadata=metadata)
         written = content.getvalue()
-        # Where it finds the schema that polars notes, Arrow reads no other notes, such as those of
-        # pandas; a name that it does not know.
-        write_whole(
-            path, written if metadata is None else written.replace(ARROW_NOTE, ARROW_NOTE.lower())
-        )
+        if metadata is not None:
+            # Where it finds the schema that polars notes, Arrow reads no other notes, such as those
+            # of pandas: a name that it does not know.
+            written = written.replace(ARROW_NOTE, ARROW_NOTE.lower())
+        write_whole(path, written)
 
 
 _INDEXED_BY_TASK = {
@@ -585,15 +553,22 @@ def _place(number: int) -> dict[str, int]:
     return {"chunk_index": chunk, "file_index": file}
 
 
+def _under(place: str, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Values by their names below another one, as columns have them."""
+    return {f"{place}/{name}": value for name, value in values.items()}
+
+
+def _listed(of: Statistics) -> dict[str, Any]:
+    return {name: value.tolist() for name, value in of.items()}
+
+
 def _series(name: str, values: np.ndarray[Any, Any], feature: dict[str, Any]) -> pl.Series:
     """A feature's values (frames, k) as a column: numbers, or arrays of k numbers where k > 1."""
-    typed, k = values.astype(feature["dtype"]), feature["shape"][0]
-    kind = TYPES[feature["dtype"]]
-    return (
-        pl.Series(name, typed[:, 0], dtype=kind())
-        if k == 1
-        else pl.Series(name, typed, dtype=pl.Array(kind(), k))
-    )
+    typed = values.astype(feature["dtype"])
+    kind = TYPES[feature["dtype"]]()
+    if feature["shape"] == [1]:
+        return pl.Series(name, typed[:, 0], dtype=kind)
+    return pl.Series(name, typed, dtype=pl.Array(kind, typed.shape[1]))
 
 
 def _write(asked: ExportRequest) -> Path:

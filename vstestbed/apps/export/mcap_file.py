@@ -76,7 +76,8 @@ def write_mcap(
     EnvironmentLackError: pictures cannot be drawn here, or no space. OutputError: cannot be
     written.
     """
-    start_ns, series = round(start_s * NS), _series(run.scenario, run.log.columns)
+    start_ns = round(start_s * NS)
+    series = _series(run.scenario, run.log.columns)
     # of more points than markers: over again
     colors = np.resize(run.scenario.target.colors, (run.scenario.rows, 3))
     goal_colors = np.column_stack([colors, np.ones(len(colors))]).tolist()
@@ -84,8 +85,9 @@ def write_mcap(
         writer = Writer(part.file)
         writer.add_metadata("vstestbed", described(run))
         for name, kind in ATTACHED.items():
-            if (run.folder / name).is_file():
-                writer.add_attachment(0, start_ns, name, kind, (run.folder / name).read_bytes())
+            file = run.folder / name
+            if file.is_file():
+                writer.add_attachment(0, start_ns, name, kind, file.read_bytes())
         for frame in run.frames():
             for topic, time_ns, message in _messages(frame, run, start_ns, series, goal_colors):
                 writer.write_message(topic, message, time_ns, time_ns, int(frame.row["frame"]))
@@ -97,7 +99,9 @@ def write_mcap(
 def described(run: RecordedRun) -> dict[str, str]:
     """What a reader must know of a run and of its export, as MCAP's metadata has it."""
     s = run.scenario
-    other = f"none: no standard model of {type(s.camera).__name__}"
+    calibration = f"none: no standard model of {type(s.camera).__name__}"
+    if as_ros(s.camera):
+        calibration = "K, D as calibrated; /truth has the true lens"
     return {
         "scenario": s.name,
         "description": s.description,
@@ -105,9 +109,7 @@ def described(run: RecordedRun) -> dict[str, str]:
         "outcome": run.outcome,
         "success": json.dumps(run.success),
         "pictures": run.how_taken,
-        "calibration": (
-            "K, D as calibrated; /truth has the true lens" if as_ros(s.camera) else other
-        ),
+        "calibration": calibration,
         "times": (
             "simulated; pictures and measurements at the middle of the exposure,"
             " commands when they are in force"
@@ -124,29 +126,32 @@ def _messages(
     frame: Taken, run: RecordedRun, start_ns: int, series: Series, goal_colors: list[list[float]]
 ) -> Iterator[Message]:
     """The messages of a frame; start_ns: what t = 0 is in the file."""
-    s, row, state = run.scenario, frame.row, frame.state
+    s = run.scenario
+    row = frame.row
+    state = frame.state
     now = start_ns + round(state.t * NS)
-    for topic, camera in (
-        ("/camera/calibration", s.believed_camera),
-        ("/truth/camera_calibration", s.camera),
-    ):
+    cameras = {
+        "/camera/calibration": s.believed_camera,
+        "/truth/camera_calibration": s.camera,
+    }
+    for topic, camera in cameras.items():
         if (known := calibration(now, camera)) is not None:
             yield topic, now, known
     yield "/camera/image", now, image(now, frame.picture, run.noisy)
-    n, sizes = len(state.uv), SIZES_PX
+    n = len(state.uv)
     true = np.array([[row[f"u_true_{i}"], row[f"v_true_{i}"]] for i in range(n)])
-    yield "/camera/markers", now, circles(now, state.uv, [SEEN] * n, sizes["seen"])
-    yield "/camera/goal", now, circles(now, state.goal_uv, goal_colors, sizes["goal"])
-    poses, T_goal = (
-        {"camera": state.T_world_camera, "target": state.T_world_target},
-        s.goal_pose_at(state.t, int(row.get("view", 0))),
-    )
+    yield "/camera/markers", now, circles(now, state.uv, [SEEN] * n, SIZES_PX["seen"])
+    yield "/camera/goal", now, circles(now, state.goal_uv, goal_colors, SIZES_PX["goal"])
+    poses = {"camera": state.T_world_camera, "target": state.T_world_target}
+    T_goal = s.goal_pose_at(state.t, int(row.get("view", 0)))
     if T_goal is not None:
         poses["goal"] = state.T_world_target @ inverse(T_goal)
-    yield "/truth/markers", now, circles(now, true, [TRUE] * n, sizes["true"])
+    yield "/truth/markers", now, circles(now, true, [TRUE] * n, SIZES_PX["true"])
     yield "/truth/transforms", now, transforms(now, poses, frame.bodies)
     for topic, (kind, columns) in series.items():
-        t = row["t_cmd"] if topic in TIMED_BY_COMMAND and math.isfinite(row["t_cmd"]) else state.t
+        t = state.t
+        if topic in TIMED_BY_COMMAND and math.isfinite(row["t_cmd"]):
+            t = row["t_cmd"]
         time_ns = start_ns + round(t * NS)
         made = kind(**{field: row[column] for field, column in columns.items()})
         # its class is of another pool than `Timestamp`
@@ -160,8 +165,6 @@ GROUPS = {
     "applied": "/robot/applied",
     "act": "/truth/camera_twist",
     "ctrl": "/robot/controls",
-}
-GROUPS |= {
     "q": "/truth/joint_positions",
     "qd": "/truth/joint_velocities",
     "depth": "/camera/depths",
@@ -169,32 +172,31 @@ GROUPS |= {
 SINGLE: dict[str, str] = dict.fromkeys(("scale", *LOSS), "/robot/applied")
 SINGLE |= dict.fromkeys(("error_px", "error_grey", "lost"), "/camera/error")
 SINGLE |= dict.fromkeys(("position_error_m", "rotation_error_rad"), "/truth/error")
+OF_KINDS = {"truth": "/truth/state", "own": "/state"}  # by who knows a column of robot or task
 
 
 def _series(scenario: Scenario, columns: tuple[str, ...]) -> Series:
     """The series of the columns whose values are in no other message."""
     topics: dict[str, dict[str, str]] = {}
     for column in columns:
-        (unit, whose, _), (before, _, after) = meaning(column, scenario), column.partition("_")
+        unit, whose, _ = meaning(column, scenario)
+        before, _, name = column.partition("_")
+        if column in SINGLE or column in scenario.own_columns or before == "depth":
+            name = column
         if column in SINGLE:
-            topic, name = SINGLE[column], column
+            topic = SINGLE[column]
         elif column in scenario.own_columns:
-            topic, name = (
-                {"truth": "/truth/state", "own": "/state"}.get(whose, "/robot/state"),
-                column,
-            )
+            topic = OF_KINDS.get(whose, "/robot/state")
         elif before in GROUPS:  # whose topic says what stands before
-            topic, name = GROUPS[before], column if before == "depth" else after
+            topic = GROUPS[before]
         else:
             continue
         topics.setdefault(topic, {})[name_with_unit(name, unit)] = column
-    names = {
-        topic: "".join(word.title() for word in topic.split("/")).replace("_", "")
-        for topic in topics
-    }
-    return {
-        topic: (_message_class(names[topic], list(those)), those) for topic, those in topics.items()
-    }
+    series = {}
+    for topic, fields in topics.items():
+        name = topic.title().replace("/", "").replace("_", "")
+        series[topic] = _message_class(name, list(fields)), fields
+    return series
 
 
 # Foxglove's messages of a frame, in protobuf: rerun reads no other encoding of them, and pictures
@@ -206,7 +208,8 @@ NS = 1_000_000_000
 # Where the middle of the first pixel is in annotations, whose origin is the picture's corner; in
 # logs and in K it is 0
 FIRST_PIXEL = 0.5
-SEEN, TRUE = (1.0, 1.0, 1.0, 1.0), (0.0, 0.0, 0.0, 1.0)
+SEEN = (1.0, 1.0, 1.0, 1.0)
+TRUE = (0.0, 0.0, 0.0, 1.0)
 """Colours (red, green, blue, alpha) of circles round measured and true markers; those at the goal
 have the marker's own.
 """
@@ -220,8 +223,9 @@ def stamp(time_ns: int) -> Timestamp:
 
 def image(time_ns: int, picture: Image, noisy: bool) -> CompressedImage:
     """A picture: as PNG, without loss; one with noise as JPEG, a seventh of that."""
-    encoded, name = (jpeg_of(picture), "jpeg") if noisy else (png_of(picture), "png")
-    return CompressedImage(timestamp=stamp(time_ns), frame_id="camera", data=encoded, format=name)
+    data = jpeg_of(picture) if noisy else png_of(picture)
+    name = "jpeg" if noisy else "png"
+    return CompressedImage(timestamp=stamp(time_ns), frame_id="camera", data=data, format=name)
 
 
 def calibration(time_ns: int, camera: Camera) -> CameraCalibration | None:
@@ -251,19 +255,19 @@ def circles(
     colors: (red, green, blue, alpha) of each.
     """
     when = stamp(time_ns)
-    return ImageAnnotations(
-        circles=[
-            CircleAnnotation(
-                timestamp=when,
-                position=Point2(x=u + FIRST_PIXEL, y=v + FIRST_PIXEL),
-                diameter=size_px,
-                thickness=1.5,
-                outline_color=Color(r=c[0], g=c[1], b=c[2], a=c[3]),
+    found = []
+    for (u, v), (r, g, b, a) in zip(uv.tolist(), colors, strict=True):
+        if math.isfinite(u) and math.isfinite(v):
+            found.append(
+                CircleAnnotation(
+                    timestamp=when,
+                    position=Point2(x=u + FIRST_PIXEL, y=v + FIRST_PIXEL),
+                    diameter=size_px,
+                    thickness=1.5,
+                    outline_color=Color(r=r, g=g, b=b, a=a),
+                )
             )
-            for (u, v), c in zip(uv.tolist(), colors, strict=True)
-            if math.isfinite(u) and math.isfinite(v)
-        ]
-    )
+    return ImageAnnotations(circles=found)
 
 
 def transforms(time_ns: int, T_world: dict[str, Array], bodies: Bodies) -> FrameTransforms:
@@ -272,9 +276,9 @@ def transforms(time_ns: int, T_world: dict[str, Array], bodies: Bodies) -> Frame
     """
     when = stamp(time_ns)
     named = [(name, T[:3, 3], quaternion_wxyz(T[:3, :3])) for name, T in T_world.items()]
-    named += [
-        body for body in zip(*bodies, strict=True) if body[0].startswith(("robot/", "leader/"))
-    ]
+    for body in zip(*bodies, strict=True):
+        if body[0].startswith(("robot/", "leader/")):
+            named.append(body)
     found = [
         FrameTransform(
             timestamp=when,
@@ -296,10 +300,8 @@ def _message_class(name: str, fields: Sequence[str]) -> Any:
         name=f"vstestbed/{name}.proto", package="vstestbed", syntax="proto3"
     )
     file.dependency.append(timestamp_pb2.DESCRIPTOR.name)
-    kind, one = (
-        descriptor_pb2.FieldDescriptorProto,
-        descriptor_pb2.FieldDescriptorProto.LABEL_OPTIONAL,
-    )
+    kind = descriptor_pb2.FieldDescriptorProto
+    one = kind.LABEL_OPTIONAL
     made = file.message_type.add(name=name)
     made.field.add(
         name="timestamp",

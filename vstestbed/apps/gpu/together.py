@@ -12,7 +12,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +39,8 @@ class Together:
     """
 
     def __init__(self, device: Device):
-        self._device, self.name = device, device.name
+        self._device = device
+        self.name = device.name
 
     def renderer(
         self, stage: Scene, camera: Camera, noisy: bool, share: float, eye: str
@@ -57,10 +58,12 @@ class Together:
 
     def fly(self, tasks: Iterable[Callable[[], Any]]) -> list[Future[Any]]:
         """Do the runs; their results, or what they raised, in the same order."""
-        done, waiting = list[Future[Any]](), list[tuple[greenlet, PictureRequest]]()
+        done: list[Future[Any]] = []
+        waiting: list[Waiting] = []
         for task in tasks:
             done.append(Future())
-            waiting += self._until_it_waits(greenlet(self._begin), task, done[-1])
+            run = greenlet(self._begin)
+            waiting += _asked(run, run.switch(task, done[-1]))
         while waiting:
             runs, requests = zip(*waiting, strict=True)
             waiting = []
@@ -71,20 +74,11 @@ class Together:
                     f"the device draws no pictures: {error}", "use --executor local"
                 )
                 for run in runs:
-                    waiting += self._asked(run, run.throw(lack))
+                    waiting += _asked(run, run.throw(lack))
             else:
                 for run, tiles in zip(runs, drawn, strict=True):
-                    waiting += self._until_it_waits(run, tiles)
+                    waiting += _asked(run, run.switch(tiles))
         return done
-
-    def _until_it_waits(self, run: greenlet, *given: Any) -> list[tuple[greenlet, PictureRequest]]:
-        """Let a run go on; what it waits for then, nothing at its end."""
-        return self._asked(run, run.switch(*given))
-
-    def _asked(
-        self, run: greenlet, request: PictureRequest
-    ) -> list[tuple[greenlet, PictureRequest]]:
-        return [] if run.dead else [(run, request)]
 
     def _begin(self, task: Callable[[], Any], done: Future[Any]) -> None:
         drawn_together.set(self)  # in the run's own context
@@ -92,6 +86,14 @@ class Together:
             done.set_result(task())
         except BaseException as error:
             done.set_exception(error)
+
+
+Waiting = tuple[greenlet, PictureRequest]  # a run, and what it waits for
+
+
+def _asked(run: greenlet, request: PictureRequest) -> list[Waiting]:
+    """What a run waits for, after it went on; nothing at its end."""
+    return [] if run.dead else [(run, request)]
 
 
 @cache
@@ -109,13 +111,11 @@ def fly(
     requests: Sequence[Request[Any]], place: str | None = None
 ) -> list[tuple[Any, BaseException | None]]:
     """Do requests together, in a worker: of each its result, or what it raised."""
-    flown = Together(device()).fly(
-        [lambda request=request: request.perform(place) for request in requests]
-    )
-    return [
-        (None, error) if (error := done.exception()) is not None else (done.result(), None)
-        for done in flown
-    ]
+    found: list[tuple[Any, BaseException | None]] = []
+    for done in Together(device()).fly([partial(one.perform, place) for one in requests]):
+        error = done.exception()
+        found.append((done.result() if error is None else None, error))
+    return found
 
 
 class TogetherPool(LocalPool):
@@ -130,12 +130,14 @@ class TogetherPool(LocalPool):
 
     def __init__(self, jobs: int, folder: Path):
         super().__init__(jobs, folder)
-        self.room, self._jobs = jobs * TOGETHER, jobs
+        self.room = jobs * TOGETHER
+        self._jobs = jobs
         self._waiting: list[tuple[Request[Any], Future[Any]]] = []
         self._guard = threading.Lock()
 
     def _start(self) -> None:
-        self.room, room = self._jobs, self.room
+        room = self.room
+        self.room = self._jobs  # of processes
         super()._start()
         self.room = room
 
@@ -156,25 +158,23 @@ class TogetherPool(LocalPool):
                 first = self._waiting[0][0]
                 alone = self._tries[first.folder] > 1
                 share = 1 if alone else min(TOGETHER, -(-len(self._waiting) // len(self._free)))
-                bunch, self._waiting = self._waiting[:share], self._waiting[share:]
+                requests, outers = zip(*self._waiting[:share], strict=True)
+                self._waiting = self._waiting[share:]
                 slot = self._free.pop()
-                slot.run(Request("", fly, ([request for request, _ in bunch],))).add_done_callback(
-                    lambda inner, slot=slot, bunch=bunch: self._returned(
-                        inner, slot, [outer for _, outer in bunch]
-                    )
-                )
+                inner = slot.run(Request("", fly, (requests,)))
+                inner.add_done_callback(partial(self._returned, slot, outers))
 
-    def _returned(self, inner: Future[Any], slot: Any, outers: Sequence[Future[Any]]) -> None:
+    def _returned(self, slot: Any, outers: Sequence[Future[Any]], inner: Future[Any]) -> None:
         """Free the slot, then complete the futures of all runs that were in it."""
         whole: Future[Any] = Future()
         self._hand_over(inner, slot, whole)
         error = whole.exception()
-        results = [(None, error)] * len(outers) if error is not None else whole.result()
+        results = whole.result() if error is None else [(None, error)] * len(outers)
         for outer, (result, own) in zip(outers, results, strict=True):
-            if own is not None:
-                outer.set_exception(own)
-            else:
+            if own is None:
                 outer.set_result(result)
+            else:
+                outer.set_exception(own)
 
 
 def must_fly_together(scenarios: Iterable[Scenario]) -> None:
@@ -186,23 +186,13 @@ def must_fly_together(scenarios: Iterable[Scenario]) -> None:
     for scenario in scenarios:
         for camera in (scenario.camera, *(eye.camera for eye in scenario.eyes.values())):
             if camera.renderer != "auto":
-                raise ParameterError.fixed(
-                    "camera.renderer",
-                    "auto",
-                    camera.renderer,
-                    why="--executor warp draws by rays of its own",
-                )
+                raise _only("camera.renderer", "auto", camera.renderer, "by rays of its own")
             if camera.shadows:
-                raise ParameterError.fixed(
-                    "camera.shadows",
-                    "false",
-                    camera.shadows,
-                    why="--executor warp draws no shadows",
-                )
-        if scenario.world.floor.mirror:
-            raise ParameterError.fixed(
-                "world.floor.mirror",
-                "0",
-                scenario.world.floor.mirror,
-                why="--executor warp draws no mirrors",
-            )
+                raise _only("camera.shadows", "false", camera.shadows, "no shadows")
+        mirror = scenario.world.floor.mirror
+        if mirror:
+            raise _only("world.floor.mirror", "0", mirror, "no mirrors")
+
+
+def _only(field: str, value: str, found: object, drawn: str) -> ParameterError:
+    return ParameterError.fixed(field, value, found, why=f"--executor warp draws {drawn}")

@@ -11,7 +11,7 @@ import hashlib
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Protocol, TypeVar
 
 import mujoco
@@ -157,16 +157,14 @@ class _Table:
         self.lens = kernels.Lens()
         self.lens.width = raster.width
         rays = raster.rays((0, 0, raster.width, raster.height))
-        self.lens.rays = wp.array(rays.reshape(-1, 3).astype(np.float32), dtype=wp.vec3)
-        self.lens.angles = wp.array(raster.apart.ravel().astype(np.float32), dtype=float)
+        self.lens.rays = wp.array(rays.reshape(-1, 3), dtype=wp.vec3)
+        self.lens.angles = wp.array(raster.apart.ravel(), dtype=float)
         self._raster = raster
 
     @cached_property
     def within(self) -> Any:
         """Rays (pixels, n) through the parts of pixels."""
-        return wp.array(
-            self._raster.parts().reshape(-1, self.n, 3).astype(np.float32), dtype=wp.vec3
-        )
+        return wp.array(self._raster.parts().reshape(-1, self.n, 3), dtype=wp.vec3)
 
 
 class _Filling:
@@ -193,9 +191,9 @@ class _Filling:
     def images(self, drawn: Image) -> Iterator[Image]:
         """The tiles' pixels, as copies, of the colours (PLACES, 3) that the device has drawn."""
         for start, (left, top, right, bottom), (a, b, c, d) in self.tiles:
-            whole = drawn[start : start + (right - left) * (bottom - top)].reshape(
-                bottom - top, right - left, 3
-            )
+            width = right - left
+            height = bottom - top
+            whole = drawn[start : start + width * height].reshape(height, width, 3)
             # the next tiles are drawn into the same memory
             yield whole[b - top : d - top, a - left : c - left].copy()
 
@@ -228,7 +226,6 @@ class _World:
         )
         self._on = np.flatnonzero(model.light_active)
         shape = slots, PLACES
-        n = len(self._on)
         self._everything = wp.full(PLACES, -1, dtype=int)  # bodies that rays pass through: none
         self._rays = kernels.Rays()
         self._drawn = wp.zeros(shape, dtype=wp.vec3ub)
@@ -239,13 +236,12 @@ class _World:
         self._slots = kernels.TileSlots()
         self._slots.views = wp.zeros(slots, dtype=kernels.SlotView)
         self._slots.tiles = wp.zeros((slots, MOST_TILES), dtype=kernels.Tile)
-        lamps = kernels.Lamps()
-        self._lights = [wp.zeros((slots, max(n, 1)), dtype=wp.vec3) for _ in LIGHTS]
-        for name, lights in zip(LIGHTS, self._lights, strict=True):
-            setattr(lamps, name, lights)
+        self._lamps = kernels.Lamps()
+        for name in LIGHTS:
+            setattr(self._lamps, name, wp.zeros((slots, len(self._on)), dtype=wp.vec3))
         self._world = kernels.DrawnWorlds()
         self._world.look = _look(model, paint, self._on)
-        self._world.lamps = lamps
+        self._world.lamps = self._lamps
         self._world.xpos = self._data.geom_xpos
         self._world.xmat = self._data.geom_xmat
         self._world.rays = self._rays
@@ -260,7 +256,6 @@ class _World:
         shape = len(work), max(slot.places for slot in work)
         wp.launch(kernels.aim, shape, [self._slots, table.lens, self._rays])
         self._cast(shape, seen)
-        wp.launch(kernels.blind, shape, [self._slots, table.lens, self._rays])
         wp.launch(kernels.shade, shape, [self._world, self._drawn])
         if table.n:
             self._smooth(table, shape, seen)
@@ -287,75 +282,54 @@ class _World:
     def _put(self, work: Sequence[_Filling]) -> None:
         """Take the states, views and tiles to the device, in slots from the first on."""
         n = len(work)
-        shots, at = _shots_of(work)
-        poses = np.array([shot.T_world_camera for shot in shots], np.float32)[at]
-        views = np.empty((n, 13), np.int32)
-        views[:, :12] = np.concatenate(
-            [poses[:, :3, 3], poses[:, :3, :3].reshape(n, 9)], axis=1
-        ).view(np.int32)
-        views[:, 12] = [len(slot.tiles) for slot in work]
+        shots = list({slot.number: slot.shot for slot in work}.values())
+        # the picture of each slot among them: its number, of those that rise from slot to slot
+        at = np.unique([slot.number for slot in work], return_inverse=True)[1]
+        poses = np.array([shot.T_world_camera for shot in shots])[at]
+        views = np.zeros(n, kernels.SlotView.numpy_dtype())
+        views["origin"] = poses[:, :3, 3]
+        views["R"] = poses[:, :3, :3]
+        tiles = np.zeros((n, MOST_TILES), kernels.Tile.numpy_dtype())
+        for i, slot in enumerate(work):
+            views["tiles"][i] = len(slot.tiles)
+            tiles[i, : len(slot.tiles)] = slot.tiles
         _copy(self._slots.views, views)
-        _copy(self._slots.tiles, _rows_of_tiles(work))
+        _copy(self._slots.tiles, tiles)
         datas = [shot.stage.data for shot in shots]
         _copy(self._data.geom_xpos, np.array([d.geom_xpos for d in datas], np.float32)[at])
         _copy(self._data.geom_xmat, np.array([d.geom_xmat for d in datas], np.float32)[at])
         if len(self._on):
-            for lights, values in zip(self._lights, self._lit(shots), strict=True):
-                _copy(lights, values[at])
+            for name, values in self._lit(shots).items():
+                _copy(getattr(self._lamps, name), np.array(values, np.float32)[at])
         mjw.refit_bvh(self._model, replace(self._data, nworld=n), self._context)
 
-    def _lit(self, shots: Sequence[PictureRequest]) -> NDArray[np.float32]:
-        """The lights of each scene now, in the order of LIGHTS, (5, shots, lights, 3)."""
-        found = []
+    def _lit(self, shots: Sequence[PictureRequest]) -> dict[str, list[Array]]:
+        """The lights of each scene now, as `warp_kernels.Lamps` names them."""
+        found: dict[str, list[Array]] = {}
         for shot in shots:
             data = shot.stage.data
             model = shot.stage.model
-            own = (
-                data.light_xpos,
-                data.light_xdir,
-                model.light_ambient,
-                model.light_diffuse,
-                model.light_specular,
-            )
-            found.append([values[self._on] for values in own])
-        return np.array(found, np.float32).swapaxes(0, 1)
+            now = {
+                "place": data.light_xpos,
+                "along": data.light_xdir,
+                "ambient": model.light_ambient,
+                "diffuse": model.light_diffuse,
+                "specular": model.light_specular,
+            }
+            for name, values in now.items():
+                found.setdefault(name, []).append(values[self._on])
+        return found
 
     def _cast(self, shape: tuple[int, int], seen: Any) -> None:
         n, m = shape
         rays = self._rays
-        data = replace(self._data, nworld=n)
         origin, ray, distance, geom, normal = (
             a[:n, :m] for a in (rays.origin, rays.ray, rays.distance, rays.geom, rays.normal)
         )
-        mjw.rays(
-            self._model,
-            data,
-            origin,
-            ray,
-            seen,
-            True,
-            self._everything[:m],
-            distance,
-            geom,
-            normal,
-            self._context,
-        )
-
-
-def _shots_of(work: Sequence[_Filling]) -> tuple[list[PictureRequest], list[int]]:
-    """The pictures of slots, each once, and the number of each slot's among them."""
-    shots = {id(slot.shot): slot.shot for slot in work}
-    numbers = {key: i for i, key in enumerate(shots)}
-    return list(shots.values()), [numbers[id(slot.shot)] for slot in work]
-
-
-def _rows_of_tiles(work: Sequence[_Filling]) -> NDArray[np.int32]:
-    """The numbers (n, MOST_TILES, 9) of `warp_kernels.Tile` of what is in n slots."""
-    rows = np.zeros((len(work), MOST_TILES, 9), np.int32)
-    for i, slot in enumerate(work):
-        tiles = [(start, *grown, *tile) for start, grown, tile in slot.tiles]
-        rows[i, : len(tiles)] = tiles
-    return rows
+        data = replace(self._data, nworld=n)
+        everything = self._everything[:m]
+        given = (self._model, data, origin, ray, seen, True, everything)
+        mjw.rays(*given, distance, geom, normal, self._context)
 
 
 def _copy(there: Any, values: NDArray[Any]) -> None:
@@ -374,31 +348,22 @@ def _look(model: mujoco.MjModel, paint: Paint, on: NDArray[np.intp]) -> Any:
     """
     elevation, tint = paint.sky
     cone = np.column_stack([np.cos(np.radians(model.light_cutoff[on])), model.light_exponent[on]])
-    boxes = model.geom_type == mujoco.mjtGeom.mjGEOM_BOX
-    arrays = {
-        "rgb": _on_device(paint.rgb[: model.ngeom], wp.vec3, (1, 3)),
-        "glow": _on_device(paint.glow[: model.ngeom], float, (1,)),
-        "box": _on_device(boxes.astype(np.int32), int, (1,)),
-        "half": _on_device(model.geom_size.astype(np.float32), wp.vec3, (1, 3)),
-        "elevation": _on_device(elevation.astype(np.float32), float, (1,)),
-        "tint": _on_device(tint.astype(np.float32), wp.vec3, (1, 3)),
-        "light_type": _on_device(model.light_type[on].astype(np.int32), int, (0,)),
-        "attenuation": _on_device(model.light_attenuation[on].astype(np.float32), wp.vec3, (0, 3)),
-        "cone": _on_device(cone.astype(np.float32), wp.vec2, (0, 2)),
-    }
     look = kernels.SceneLook()
-    for name, array in (arrays | _prints(model, paint) | _texels(paint)).items():
-        setattr(look, name, array)
+    look.rgb = wp.array(paint.rgb[: model.ngeom], dtype=wp.vec3)
+    look.glow = wp.array(paint.glow[: model.ngeom], dtype=float)
+    look.box = wp.array(model.geom_type == mujoco.mjtGeom.mjGEOM_BOX, dtype=int)
+    look.half = wp.array(model.geom_size, dtype=wp.vec3)
+    look.elevation = wp.array(elevation, dtype=float)
+    look.tint = wp.array(tint, dtype=wp.vec3)
+    look.light_type = wp.array(model.light_type[on], dtype=int)
+    look.attenuation = wp.array(model.light_attenuation[on], dtype=wp.vec3)
+    look.cone = wp.array(cone, dtype=wp.vec2)
+    _put_prints(look, model, paint)
+    _put_texels(look, paint)
     return look
 
 
-def _on_device(values: object, dtype: Any, least: tuple[int, ...]) -> Any:
-    """An array of the device; zeros of a shape in place of none."""
-    array = np.asarray(values)
-    return wp.array(array if array.size else np.zeros(least, array.dtype), dtype=dtype)
-
-
-def _prints(model: mujoco.MjModel, paint: Paint) -> dict[str, Any]:
+def _put_prints(look: Any, model: mujoco.MjModel, paint: Paint) -> None:
     """Of each geom its texture, -1 of none, and how it lies and shines."""
     n = model.ngeom
     numbers = {texture: i for i, texture in enumerate(paint.mipmaps)}
@@ -416,34 +381,29 @@ def _prints(model: mujoco.MjModel, paint: Paint) -> dict[str, Any]:
         samples[g] = 1 if paint.repeated[number] else paint.anisotropy
         if g in paint.glossy:
             gloss[g] = model.mat_specular[m], 128 * model.mat_shininess[m]
-    return {
-        "texture": _on_device(texture.astype(np.int32), int, (1,)),
-        "times": _on_device(times.astype(np.float32), wp.vec2, (1, 2)),
-        "uniform": _on_device(uniform.astype(np.int32), int, (1,)),
-        "gloss": _on_device(gloss.astype(np.float32), wp.vec2, (1, 2)),
-        "samples": _on_device(samples.astype(np.int32), int, (1,)),
-    }
+    look.texture = wp.array(texture, dtype=int)
+    look.times = wp.array(times, dtype=wp.vec2)
+    look.uniform = wp.array(uniform, dtype=int)
+    look.gloss = wp.array(gloss, dtype=wp.vec2)
+    look.samples = wp.array(samples, dtype=int)
 
 
-def _texels(paint: Paint) -> dict[str, Any]:
+def _put_texels(look: Any, paint: Paint) -> None:
     """All textures in one table: of each the first of its levels, and of each level its first
     texel.
     """
     levels = []
     sizes = []
-    tables = []
+    tables = [np.zeros((0, 3), np.uint8)]
     start = 0
     for mipmap in paint.mipmaps.values():
         levels.append((len(sizes), len(mipmap.levels)))
         sizes += [(start + first, width, height) for first, width, height in mipmap.levels]
         tables.append(mipmap.table)
         start += len(mipmap.table)
-    table = np.concatenate(tables) if tables else np.zeros((1, 3), np.uint8)
-    return {
-        "level": _on_device(np.array(levels, np.int32), wp.vec2i, (1, 2)),
-        "size": _on_device(np.array(sizes, np.int32), wp.vec3i, (1, 3)),
-        "texels": _on_device(table, wp.vec3ub, (1, 3)),
-    }
+    look.level = wp.array(np.reshape(levels, (-1, 2)), dtype=wp.vec2i)
+    look.size = wp.array(np.reshape(sizes, (-1, 3)), dtype=wp.vec3i)
+    look.texels = wp.array(np.concatenate(tables), dtype=wp.vec3ub)
 
 
 class Device:
@@ -468,14 +428,10 @@ class Device:
             alike.setdefault(key, []).extend(slots_of(i, shot))
         drawn: list[list[Image]] = [[] for _ in shots]
         for (look, lens, outside), work in alike.items():
-            first = work[0].shot
-            world = _kept(
-                self._worlds,
-                look,
-                lambda of=first: _World(of.stage, of.paint, self.slots),
-                MOST_LOOKS,
-            )
-            table = _kept(self._tables, lens, lambda of=first: _Table(of.raster), MOST_LENSES)
+            shot = work[0].shot
+            new_world = partial(_World, shot.stage, shot.paint, self.slots)
+            world = _kept(self._worlds, look, new_world, MOST_LOOKS)
+            table = _kept(self._tables, lens, partial(_Table, shot.raster), MOST_LENSES)
             for start in range(0, len(work), self.slots):
                 some = work[start : start + self.slots]
                 for slot, colours in zip(some, world.draw(table, outside, some), strict=True):

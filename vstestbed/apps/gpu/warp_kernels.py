@@ -184,14 +184,12 @@ def aim(slots: TileSlots, lens: Lens, rays: Rays):
         _aim(rays, w, j, slots.views[w], lens.rays[pixel], lens.angles[pixel])
 
 
-@wp.kernel
-def blind(slots: TileSlots, lens: Lens, rays: Rays):
-    """Mark the pixels that have no ray, which are not the sky."""
-    w, j = wp.tid()
-    pixel = _pixel(slots, w, j, lens.width)
-    if pixel >= 0:
-        if wp.isnan(lens.rays[pixel][0]):
-            rays.geom[w, j] = NO_RAY
+@wp.func
+def _shown(rays: Rays, w: int, j: int) -> int:
+    """Number of the geom that place j shows, SKY for none, NO_RAY where the lens has no ray."""
+    if rays.origin[w, j][0] > 0.5 * AWAY:
+        return NO_RAY
+    return rays.geom[w, j]
 
 
 @wp.kernel
@@ -209,20 +207,15 @@ def edges(slots: TileSlots, rays: Rays, found: Edges):
         column = (j - tile.start) % columns
         u = tile.grown[0] + column
         v = tile.grown[1] + row
-        if (
-            u >= tile.wanted[0]
-            and u < tile.wanted[2]
-            and v >= tile.wanted[1]
-            and v < tile.wanted[3]
-        ):
-            own = rays.geom[w, j]
+        wanted = tile.wanted
+        if u >= wanted[0] and u < wanted[2] and v >= wanted[1] and v < wanted[3]:
+            own = _shown(rays, w, j)
             other = int(0)
             for dv in range(-1, 2):
+                above = wp.clamp(row + dv, 0, rows - 1) * columns
                 for du in range(-1, 2):
-                    near = wp.clamp(row + dv, 0, rows - 1) * columns + wp.clamp(
-                        column + du, 0, columns - 1
-                    )
-                    if rays.geom[w, tile.start + near] != own:
+                    near = above + wp.clamp(column + du, 0, columns - 1)
+                    if _shown(rays, w, tile.start + near) != own:
                         other = 1
             if other == 1:
                 found.place[w, wp.atomic_add(found.count, w, 1)] = j
@@ -302,10 +295,8 @@ def _texel(look: SceneLook, texture: int, place: wp.vec2, texels: float) -> wp.v
 
 
 @wp.func
-def _on_face(v: wp.vec3, face: int, edges: wp.vec2, times: wp.vec2) -> wp.vec2:
-    """A vector in a geom's frame along the axes of a face, as shares of its texture."""
-    i = wp.where(face == 0, 1, 0)
-    j = wp.where(face == 2, 1, 2)
+def _on_face(v: wp.vec3, i: int, j: int, edges: wp.vec2, times: wp.vec2) -> wp.vec2:
+    """A vector in a geom's frame along the axes i and j of a face, as shares of its texture."""
     return wp.vec2(v[i] / edges[0] * times[0], -v[j] / edges[1] * times[1])
 
 
@@ -322,19 +313,19 @@ def _mean_along(
     many as the geom's texture is sampled with.
     """
     texture = look.texture[g]
-    most = look.samples[g]
     long = wp.length(wp.cw_mul(first, pixels))
     short = wp.length(wp.cw_mul(second, pixels))
     along = first
     if short > long:
-        along, long, short = second, short, long
-    samples = wp.clamp(int(wp.ceil(long / wp.max(short, 1.0e-9) - 0.01)), 1, most)
+        along = second
+        long = short
+        short = wp.length(wp.cw_mul(first, pixels))
+    samples = wp.clamp(int(wp.ceil(long / wp.max(short, 1.0e-9) - 0.01)), 1, look.samples[g])
     texels = wp.max(long / float(samples), short)
     total = wp.vec3(0.0, 0.0, 0.0)
     for k in range(samples):
-        total += _texel(
-            look, texture, place + along * ((float(k) + 0.5) / float(samples) - 0.5), texels
-        )
+        share = (float(k) + 0.5) / float(samples) - 0.5
+        total += _texel(look, texture, place + along * share, texels)
     return total / float(samples)
 
 
@@ -356,40 +347,36 @@ def _print(look: SceneLook, hit: Hit, x: wp.vec3, R: wp.mat33) -> wp.vec3:
             face = 1
         if wp.abs(n[2]) > wp.max(wp.abs(n[0]), wp.abs(n[1])):
             face = 2
-    size = wp.vec3(
-        wp.where(half[0] > 0.0, half[0], 1.0),
-        wp.where(half[1] > 0.0, half[1], 1.0),
-        wp.where(half[2] > 0.0, half[2], 1.0),
-    )
+    size = wp.vec3(1.0, 1.0, 1.0)
+    for k in range(3):
+        if half[k] > 0.0:
+            size[k] = half[k]
     times = look.times[g]
     if look.uniform[g] == 1:
         times = wp.vec2(times[0] * size[0], times[1] * size[1])
-    begins = wp.vec2(
-        wp.where(half[0] > 0.0, 0.5 * times[0], 0.5), wp.where(half[1] > 0.0, 0.5 * times[1], 0.5)
-    )
+    begins = wp.vec2(0.5, 0.5)
+    for k in range(2):
+        if half[k] > 0.0:
+            begins[k] = 0.5 * times[k]
     i = wp.where(face == 0, 1, 0)
     j = wp.where(face == 2, 1, 2)
     edges = wp.vec2(2.0 * size[i], 2.0 * size[j])
-    place = _on_face(local, face, edges, times) + begins
+    place = _on_face(local, i, j, edges, times) + begins
     texture = look.texture[g]
     whole = look.size[look.level[texture][0]]
     pixels = wp.vec2(float(whole[1]), float(whole[2]))
     cosine = wp.max(wp.abs(wp.dot(ray, normal)), 1.0e-6)
-    most = look.samples[g]
-    if most == 1:
-        texels = (
-            across
-            / cosine
-            * wp.max(times[0] * pixels[0] / edges[0], times[1] * pixels[1] / edges[1])
-        )
-        return _texel(look, texture, place, texels)
+    if look.samples[g] == 1:
+        wide = times[0] * pixels[0] / edges[0]
+        high = times[1] * pixels[1] / edges[1]
+        return _texel(look, texture, place, across / cosine * wp.max(wide, high))
     shadow = ray - wp.dot(ray, normal) * normal
     # seen at a right angle: any direction on the face will do; single floats give no less
     if wp.length(shadow) < 1.0e-6:
         shadow = wp.vec3(R[0, i], R[1, i], R[2, i])
     shadow = wp.normalize(shadow)
-    first = _on_face(turned @ (shadow * (across / cosine)), face, edges, times)
-    second = _on_face(turned @ (wp.cross(normal, shadow) * across), face, edges, times)
+    first = _on_face(turned @ (shadow * (across / cosine)), i, j, edges, times)
+    second = _on_face(turned @ (wp.cross(normal, shadow) * across), i, j, edges, times)
     return _mean_along(look, g, place, first, second, pixels)
 
 
@@ -457,12 +444,8 @@ def _colour(world: DrawnWorlds, w: int, j: int) -> wp.vec3:
         light += share * (lamps.ambient[w, i] + wp.max(facing, 0.0) * lamps.diffuse[w, i])
         if gloss[0] > 0.0 and facing > 0.0:
             half = wp.normalize(to - ray)
-            mirrored += (
-                gloss[0]
-                * share
-                * wp.pow(wp.clamp(wp.dot(half, normal), 0.0, 1.0), gloss[1])
-                * lamps.specular[w, i]
-            )
+            shine = wp.pow(wp.clamp(wp.dot(half, normal), 0.0, 1.0), gloss[1])
+            mirrored += gloss[0] * share * shine * lamps.specular[w, i]
     colour = wp.min(wp.cw_mul(light, look.rgb[g]), wp.vec3(1.0, 1.0, 1.0))
     if look.texture[g] >= 0:
         hit = Hit()
@@ -485,11 +468,12 @@ def shade(world: DrawnWorlds, out: wp.array2d(dtype=wp.vec3ub)):
     """The grey levels of all places."""
     w, j = wp.tid()
     colour = wp.vec3(0.0, 0.0, 0.0)
-    if world.rays.geom[w, j] != NO_RAY and world.rays.origin[w, j][0] < 0.5 * AWAY:
+    if _shown(world.rays, w, j) != NO_RAY:
         colour = _colour(world, w, j)
-    out[w, j] = wp.vec3ub(
-        wp.uint8(_grey(colour[0])), wp.uint8(_grey(colour[1])), wp.uint8(_grey(colour[2]))
-    )
+    grey = wp.vec3ub()
+    for channel in range(3):
+        grey[channel] = wp.uint8(_grey(colour[channel]))
+    out[w, j] = grey
 
 
 @wp.kernel
@@ -499,7 +483,7 @@ def add_up(world: DrawnWorlds, found: Edges, first: int, n: int, total: wp.array
     """
     w, j = wp.tid()
     edge = _edge(found.count[w], first, j, n)
-    if edge >= 0 and world.rays.origin[w, j][0] < 0.5 * AWAY:
+    if edge >= 0 and _shown(world.rays, w, j) != NO_RAY:
         colour = _colour(world, w, j)
         for channel in range(3):
             wp.atomic_add(total, w, edge, channel, _grey(colour[channel]))

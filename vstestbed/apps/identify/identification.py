@@ -12,10 +12,9 @@ their weights and covariance).
 from __future__ import annotations
 
 import bisect
-import itertools
+import functools
 import logging
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -43,6 +42,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RECORD = "record.parquet"
+KNOWN = r"^(t|t_q|arrived|u_\d+|qd?_.+|[uv]_px_\d+)$"  # its columns
+COMMANDS = pl.selectors.matches(r"^u_\d+$")
 COMMAND_LATENCY, STAMPS = "timing.command_latency_s", "stamps_late_s"
 """The two parameters that only shift what is predicted: from when on a command acts, and how much
 later than its exposure a picture is stamped, by the clock of the joints' readings.
@@ -63,7 +64,7 @@ APART = 0.998
 
 # The motion: of each of a robot's own motions a step to and fro, then sines of all at once.
 REST_S, STEP_S, SINES_S = 0.6, 0.4, 4.0
-# amplitudes by `Robot.base` [m/s, rad/s]
+# amplitudes by `Robot.base`, of translations and of rotations [m/s, rad/s]
 SHARES = {"fixed": (0.06, 0.25), "planar": (0.25, 0.6), "floating": (0.4, 0.4)}
 
 
@@ -71,30 +72,23 @@ def motion_of(scenario: Scenario) -> pl.DataFrame:
     """Commands at the camera's rate, along the robot's own motions: `t` and `u_0`, ... [m/s,
     rad/s]; they end where they began.
     """
-    robot, basis = scenario.robot, _motions(scenario)
-    n, rate = basis.shape[1], scenario.camera.rate_hz
-    linear, angular = SHARES[robot.base]
-    sizes = np.array([linear if np.linalg.norm(basis[:3, i]) > 0.5 else angular for i in range(n)])
-    if n == 6:  # camera twists
-        sizes = np.array([linear] * 3 + [angular] * 3)
-    rest, step = np.zeros((round(rate * REST_S), n)), round(rate * STEP_S)
+    basis = _motions(scenario)
+    n = basis.shape[1]
+    rate = scenario.camera.rate_hz
+    sizes = np.where(np.linalg.norm(basis[:3], axis=0) > 0.5, *SHARES[scenario.robot.base])
+    rest = np.zeros((round(rate * REST_S), n))
+    step = round(rate * STEP_S)
     parts = [rest]
     for i in range(n):
-        one = np.zeros((4 * step, n))
-        one[:step, i], one[2 * step : 3 * step, i] = sizes[i], -sizes[i]
-        parts.append(one)
+        to_and_fro = np.zeros((4 * step, n))
+        to_and_fro[:step, i] = sizes[i]
+        to_and_fro[2 * step : 3 * step, i] = -sizes[i]
+        parts.append(to_and_fro)
     at = np.arange(round(rate * SINES_S)) / rate
-    # whole periods, each motion its own
-    whole = np.array([(k + 2) / SINES_S * 2 for k in range(n)])
-    parts += [
-        0.7
-        * sizes
-        * np.sin(2 * np.pi * at[:, None] * whole)
-        * np.array([(-1) ** k for k in range(n)]),
-        rest,
-        rest,
-    ]
-    u = np.concatenate(parts)
+    k = np.arange(n)
+    whole = (k + 2) / SINES_S * 2  # periods, each motion its own
+    sines = np.sin(2 * np.pi * at[:, None] * whole)
+    u = np.concatenate([*parts, 0.7 * sizes * sines * (-1.0) ** k, rest, rest])
     return pl.DataFrame({"t": np.arange(len(u)) / rate, **{f"u_{i}": u[:, i] for i in range(n)}})
 
 
@@ -113,25 +107,17 @@ def fly(
     `t_q` by its clock, and markers by the detector. It ends with the motion, or where the robot
     stops by itself.
     """
-    u = motion.select(pl.selectors.starts_with("u_")).to_numpy()
+    u = motion.select(COMMANDS).to_numpy()
     rows: list[dict[str, float]] = []
     with closing(Episode(_undisturbed(scenario), False, (), None)) as episode:
         frame = episode.advance()
         while frame is not None and len(rows) < len(u) and episode.outcome is None:
             shot = episode.controller.before
             assert shot is not None
-            row = {
-                "t": shot.t,
-                "t_q": frame.t,
-                "arrived": episode.now,
-                **{f"u_{i}": v for i, v in enumerate(u[len(rows)].tolist())},
-            }
-            for name, q, qd in zip(
-                scenario.robot.joints,
-                shot.reading.q.tolist(),
-                shot.reading.qd.tolist(),
-                strict=True,
-            ):
+            row = {"t": shot.t, "t_q": frame.t, "arrived": episode.now}
+            row |= {f"u_{i}": v for i, v in enumerate(u[len(rows)].tolist())}
+            read = np.column_stack([shot.reading.q, shot.reading.qd])
+            for name, (q, qd) in zip(scenario.robot.joints, read.tolist(), strict=True):
                 row |= {f"q_{name}": q, f"qd_{name}": qd}
             for i, (a, b) in enumerate(frame.observation.uv.tolist()):
                 row |= {f"u_px_{i}": a, f"v_px_{i}": b}
@@ -181,31 +167,23 @@ def cleaned(record: pl.DataFrame) -> pl.DataFrame:
     none; the others are passed over, and told with their times. ParameterError: columns of
     something else, too few moments, or too long a record.
     """
-    known = [
-        name
-        for name in record.columns
-        if re.fullmatch(r"t|t_q|arrived|u_\d+|qd?_.+|[uv]_px_\d+", name)
-    ]
     with foreign("record", "columns of numbers"):
-        numbers = np.array(
-            record.select(pl.col(known).cast(pl.Float64, strict=False)).to_numpy(), dtype=float
-        )
-    numbers[~(np.abs(numbers) < LARGEST)] = np.nan
-    table = pl.DataFrame(numbers, known)
+        numbers = record.select(pl.selectors.matches(KNOWN).cast(pl.Float64, strict=False))
+    usual = pl.all().abs() < LARGEST
+    table = numbers.with_columns(pl.when(usual).then(pl.all()).otherwise(math.nan))
     needed = table.select(pl.selectors.matches(r"^(t|t_q|arrived|u_\d+)$")).to_numpy()
     used = np.flatnonzero(np.isfinite(needed).all(axis=1))
     no_numbers = len(table) - len(used)
     t = table["t"].to_numpy()
-    for name in [name for name in ("t", "t_q") if name in known]:
-        used = used[_rising(table[name].to_numpy()[used])]
+    used = used[_rising(t[used])]
+    if "t_q" in table.columns:
+        used = used[_rising(table["t_q"].to_numpy()[used])]
     if len(used) < LEAST_MOMENTS:
-        raise ParameterError(
-            "record",
-            (
-                f"has {len(used)} moments that can be used of {len(table)};"
-                f" at least {LEAST_MOMENTS} are needed"
-            ),
+        words = (
+            f"has {len(used)} moments that can be used of {len(table)};"
+            f" at least {LEAST_MOMENTS} are needed"
         )
+        raise ParameterError("record", words)
     if (whole_s := float(t[used[-1]] - t[used[0]])) > LONGEST_S:
         raise ParameterError.bound(
             "record",
@@ -217,11 +195,12 @@ def cleaned(record: pl.DataFrame) -> pl.DataFrame:
     left = np.delete(np.arange(len(table)), used).tolist()
     if left:
         _tell_left(left, t, no_numbers)
-    if unread := int(np.isnan(numbers[used]).sum()):
+    found = table[used.tolist()]
+    if unread := np.isnan(found.to_numpy()).sum():
         logging.getLogger("vstestbed").warning(
             "%d readings of the record are no numbers, and are passed over", unread
         )
-    return table[used.tolist()]
+    return found
 
 
 def _within_range(record: pl.DataFrame, scenario: Scenario) -> pl.DataFrame:
@@ -329,26 +308,30 @@ class Parameter:
         """Whether it only shifts what is predicted."""
         return self.field in (COMMAND_LATENCY, STAMPS)
 
-    def value(self, scenario: Scenario, x: float) -> Any:
-        """What its field is with the number x."""
-        if not self.factor:
-            return x
+    def given(self, scenario: Scenario) -> Any:
+        """What its field is in a scenario; None where there is no such field."""
         now: Any = scenario
         for part in self.field.split("."):
-            now = getattr(now, part)
-        return [x * v for v in now] if isinstance(now, tuple) else x * now
+            now = getattr(now, part, None)
+        return now
+
+    def value(self, scenario: Scenario, x: float) -> Any:
+        """What its field is with the number x."""
+        now = self.given(scenario)
+        if self.factor and isinstance(now, tuple):
+            return [x * v for v in now]
+        # of what is no number nothing is a multiple: the scenario refuses it
+        return x * now if self.factor and isinstance(now, int | float) else x
 
 
+WHEELED = (
+    Parameter("robot.drive_lag_s", 0.001, 0.5),
+    Parameter("robot.wheel_radius_error", -0.1, 0.1),
+)
 USUAL: Mapping[str, tuple[Parameter, ...]] = {
     "mjcf": (Parameter("robot.servo_kv", 0.2, 5.0, factor=True),),
-    "omni": (
-        Parameter("robot.drive_lag_s", 0.001, 0.5),
-        Parameter("robot.wheel_radius_error", -0.1, 0.1),
-    ),
-    "car": (
-        Parameter("robot.drive_lag_s", 0.001, 0.5),
-        Parameter("robot.wheel_radius_error", -0.1, 0.1),
-    ),
+    "omni": WHEELED,
+    "car": WHEELED,
     "quadrotor": (
         Parameter("robot.gains.velocity", 0.5, 5.0),
         Parameter("robot.gains.climb", 0.5, 6.0),
@@ -406,27 +389,23 @@ def identify(
     """
     record = _within_range(cleaned(record), scenario)
     fit = tuple(parameters) or usual(scenario, record)
-    commands, motions = (
-        sum(re.fullmatch(r"u_\d+", name) is not None for name in record.columns),
-        _motions(scenario).shape[1],
-    )
+    commands = record.select(COMMANDS).width
+    motions = _motions(scenario).shape[1]
     if commands != motions:
         words = (
             f"has commands of {commands} motions, and robot {scenario.robot.kind} has {motions}:"
             " is it of another robot?"
         )
         raise ParameterError("record", words)
-    names, measured, _ = _measured(record, scenario)
-    sigma = _noise(measured, names)
-    start = np.array([min(max(_start(p, scenario), p.low), p.high) for p in fit])
-    model = _Model(record, scenario, fit, start, say)
-    errors, x = _Errors(model, measured, sigma), start
+    model = _Model(record, scenario, fit, say)
+    errors = _Errors(model, _noise(model.measured, model.names))
+    x = model.start
     # by the sensors' noise alone first; then by how the errors of that go together
     for stage in range(STAGES):
-        x = _fitted(errors, x, fit)
+        x = _fitted(errors, x)
         if stage + 1 < STAGES:
             errors = errors.whitened(x)
-    found = _summed_up(record, scenario, fit, errors, x, sigma)
+    found = _summed_up(errors, x)
     if found.residual >= MISFIT:
         logging.getLogger("vstestbed").warning("the simulator does not read what the robot read")
     return found
@@ -447,15 +426,15 @@ class _Errors:
     """
 
     model: _Model
-    measured: Array
     sigma: Array
     rho: Array | float = 0.0
     W: Array | None = None
 
     def plain(self, x: Array) -> Array:
         """The errors over the noise (n, k); 0 where nothing was read."""
-        off = (self.model.predicted(x) - self.measured) / self.sigma
-        return np.where(np.isfinite(self.measured), np.nan_to_num(off, nan=1e3), 0.0)
+        measured = self.model.measured
+        off = (self.model.predicted(x) - measured) / self.sigma
+        return np.where(np.isfinite(measured), np.nan_to_num(off, nan=1e3), 0.0)
 
     def __call__(self, x: Array) -> Array:
         """The whitened errors, flat."""
@@ -472,11 +451,8 @@ class _Errors:
     def whitened(self, x: Array) -> _Errors:
         """The same with rho and W of the errors at x."""
         off = self.plain(x)
-        rho = np.clip(
-            (off[1:] * off[:-1]).sum(axis=0) / np.maximum((off[:-1] ** 2).sum(axis=0), 1e-12),
-            0.0,
-            0.995,
-        )
+        power = np.maximum((off[:-1] ** 2).sum(axis=0), 1e-12)
+        rho = np.clip((off[1:] * off[:-1]).sum(axis=0) / power, 0.0, 0.995)
         made = replace(self, rho=rho)
         left = made._onward(off)[1:]
         S = left.T @ left / len(left)
@@ -485,9 +461,11 @@ class _Errors:
         return replace(made, W=np.linalg.inv(np.linalg.cholesky(S)))
 
 
-def _fitted(errors: _Errors, start: Array, fit: Sequence[Parameter]) -> Array:
+def _fitted(errors: _Errors, start: Array) -> Array:
     """The least squares from a start, robust against single outliers."""
-    low, high = np.array([p.low for p in fit]), np.array([p.high for p in fit])
+    fit = errors.model.fit
+    low = np.array([p.low for p in fit])
+    high = np.array([p.high for p in fit])
     found = least_squares(
         errors,
         np.clip(start, low + 1e-9, high - 1e-9),
@@ -503,19 +481,13 @@ def _fitted(errors: _Errors, start: Array, fit: Sequence[Parameter]) -> Array:
     return found.x
 
 
-def _summed_up(
-    record: pl.DataFrame,
-    scenario: Scenario,
-    fit: tuple[Parameter, ...],
-    errors: _Errors,
-    x: Array,
-    sigma: Array,
-) -> Identified:
+def _summed_up(errors: _Errors, x: Array) -> Identified:
     """What was found at x: intervals, what is not told apart, the noise, and the test on parts that
     are left out.
     """
-    names, measured, _ = _measured(record, scenario)
-    predicted = errors.model.predicted(x)
+    model = errors.model
+    fit = model.fit
+    predicted = model.predicted(x)
     off = errors.plain(x)
     plain = _jacobian(errors.plain, x, fit)
     J = np.stack([errors.weighted(plain[:, :, i]) for i in range(len(fit))], axis=-1)
@@ -529,30 +501,29 @@ def _summed_up(
         elif p.field == COMMAND_LATENCY:
             # A command acts at the next step of the robot's clock, one of some phase to the
             # camera's: within a step nothing tells when it came.
-            half[i] += errors.model.grid_s
+            half[i] += model.grid_s
     # of the errors, since the motion itself is not smooth from picture to picture
-    own = _noise(measured - predicted, names)
-    parts = np.array_split(np.arange(len(off)), PARTS)
-    of_parts = [
-        off[part] + plain[part] @ change for part, change in zip(parts, without, strict=True)
-    ]
-    left_out = np.concatenate(of_parts) * sigma / own
-    t = record["t"].to_numpy()
-    arrived = record["arrived"].to_numpy() if "arrived" in record.columns else t
+    own = _noise(model.measured - predicted, model.names)
+    left_out = []
+    for part, change in zip(np.array_split(np.arange(len(off)), PARTS), without, strict=True):
+        left_out.append(off[part] + plain[part] @ change)
+    residual = np.sqrt(((np.concatenate(left_out) * errors.sigma / own) ** 2).mean())
+    t = model.record["t"].to_numpy()
+    arrived = model.record["arrived"].to_numpy() if "arrived" in model.record.columns else t
     return Identified(
-        scenario,
+        model.scenario,
         fit,
         x,
         half,
         together,
-        _noise_of_kinds(own, names),
+        _noise_of_kinds(own, model.names),
         float(np.median(arrived - t)),
         float(np.std(np.diff(t))),
-        float(np.sqrt((left_out**2).mean())),
-        record,
+        float(residual),
+        model.record,
         predicted,
-        measured,
-        names,
+        model.measured,
+        model.names,
     )
 
 
@@ -589,9 +560,12 @@ def _interval(J: Array, off: Array) -> tuple[Array, Array]:
     1989, doi:10.1214/aos/1176347265). The wider of both counts. Neither knows of what changes the
     readings as a parameter does.
     """
-    n, most = len(off), len(off) // 4
-    each, g = np.einsum("tki,tkj->tij", J, J), np.einsum("tki,tk->ti", J, off)
-    inverse, S = np.linalg.pinv(each.sum(axis=0)), np.zeros(each.shape[1:])
+    n = len(off)
+    most = n // 4
+    each = np.einsum("tki,tkj->tij", J, J)
+    g = np.einsum("tki,tk->ti", J, off)
+    inverse = np.linalg.pinv(each.sum(axis=0))
+    S = np.zeros_like(inverse)
     for lag in range(most + 1):
         R = off[lag:].T @ off[: n - lag] / n
         one = np.einsum("tki,km,tmj->ij", J[lag:], R, J[: n - lag], optimize=True)
@@ -602,10 +576,9 @@ def _interval(J: Array, off: Array) -> tuple[Array, Array]:
         rest = np.delete(np.arange(n), part)
         without.append(-np.linalg.pinv(each[rest].sum(axis=0)) @ g[rest].sum(axis=0))
     by_parts = (PARTS - 1) * np.var(without, axis=0)
-    half = np.maximum(
-        student.ppf(0.975, n) * np.sqrt(by_time), student.ppf(0.975, PARTS - 1) * np.sqrt(by_parts)
-    )
-    return half, np.array(without)
+    of_time = student.ppf(0.975, n) * np.sqrt(by_time)
+    of_parts = student.ppf(0.975, PARTS - 1) * np.sqrt(by_parts)
+    return np.maximum(of_time, of_parts), np.array(without)
 
 
 def _jacobian(errors: Callable[[Array], Array], x: Array, fit: Sequence[Parameter]) -> Array:
@@ -627,14 +600,10 @@ def _start(p: Parameter, scenario: Scenario) -> float:
         return 1.0
     if p.shifts:
         return 0.0 if p.field == STAMPS else 0.03
-    now: Any = scenario
-    for part in p.field.split("."):
-        now = getattr(now, part, None)
-    return (
-        float(now)
-        if isinstance(now, int | float) and now
-        else (0.05 if p.low > 0 else 0.5 * (p.low + p.high))
-    )
+    now = p.given(scenario)
+    if isinstance(now, int | float) and now:
+        return float(now)
+    return 0.05 if p.low > 0 else 0.5 * (p.low + p.high)
 
 
 def _measured(record: pl.DataFrame, scenario: Scenario) -> tuple[list[str], Array, Array]:
@@ -643,8 +612,8 @@ def _measured(record: pl.DataFrame, scenario: Scenario) -> tuple[list[str], Arra
     joints = [f"q_{name}" for name in scenario.robot.joints if f"q_{name}" in there]
     moving = [name for name in joints if record[name].fill_nan(None).drop_nulls().n_unique() > 1]
     points = range(len(scenario.target.points))
-    of_points = itertools.chain.from_iterable((f"u_px_{i}", f"v_px_{i}") for i in points)
-    pixels = list(filter(there.__contains__, of_points))
+    of_points = [f"{axis}_px_{i}" for i in points for axis in "uv"]
+    pixels = [name for name in of_points if name in there]
     if not moving and not pixels:
         words = (
             f"has none of q_{', q_'.join(scenario.robot.joints)} that changes, and no u_px_0, ...:"
@@ -660,10 +629,12 @@ def _noise(a: Array, names: list[str]) -> Array:
     """Standard deviations (k,) of white noise on smooth signals (n, k), by third differences
     (Gasser, Sroka & Jennen-Steinmetz 1986).
     """
-    out = [LEAST_NOISE["pixel" if "_px_" in name else "joint"] for name in names]
-    for i, column in enumerate(a.T):
+    out = []
+    for name, column in zip(names, a.T, strict=True):
+        least = LEAST_NOISE["pixel" if "_px_" in name else "joint"]
         d = np.abs(np.diff(column[np.isfinite(column)], 3))
-        out[i] = max(out[i], 1.4826 * float(np.median(d)) / math.sqrt(20) if len(d) else 0.0)
+        noise = 1.4826 * np.median(d) / math.sqrt(20) if len(d) else least
+        out.append(max(noise, least))
     return np.array(out)
 
 
@@ -677,48 +648,50 @@ of another flight.
 """
 
 
+@dataclass
 class _Model:
     """What the simulator predicts, over the parameters; runs are kept. Commands reach a simulated
     robot at a step of its clock: between two latencies on a grid, predictions are interpolated.
     """
 
-    def __init__(
-        self,
-        record: pl.DataFrame,
-        scenario: Scenario,
-        fit: tuple[Parameter, ...],
-        start: Array,
-        say: Callable[[str], None],
-    ):
-        self._scenario, self._fit, self._record, self._say = scenario, fit, record, say
-        self._names, _, t = _measured(record, scenario)
-        self._pixels = np.array(["_px_" in name for name in self._names])
-        self._t, self._stamps = t - t[0], record["t"].to_numpy() - t[0]
-        arrived = record["arrived"].to_numpy() - t[0] if "arrived" in record.columns else self._t
+    record: pl.DataFrame
+    scenario: Scenario
+    fit: tuple[Parameter, ...]
+    say: Callable[[str], None]
+
+    def __post_init__(self) -> None:
+        self.names, self.measured, t = _measured(self.record, self.scenario)
+        self._pixels = np.array(["_px_" in name for name in self.names])
+        self._t = t - t[0]
+        self._stamps = self.record["t"].to_numpy() - t[0]
+        arrived = self._t
+        if "arrived" in self.record.columns:
+            arrived = self.record["arrived"].to_numpy() - t[0]
         self._latency_s = max(0.0, float(np.median(arrived - self._t)))
-        self._kept: dict[tuple[float, ...], Array] = {}
-        self._plain = as_yaml(scenario.made_of or to_mapping(scenario))
-        self._qd = {name: f"qd_{name.removeprefix('q_')}" for name in self._names}
-        made = self._made(self._own(start), 0.0)
+        self._run = functools.cache(self._simulated)
+        self._plain = as_yaml(self.scenario.made_of or to_mapping(self.scenario))
+        starts = [np.clip(_start(p, self.scenario), p.low, p.high) for p in self.fit]
+        self.start = np.array(starts)
+        made = self._made(self._own(self.start), 0.0)
         onboard = made.robot.onboard  # which an imperfection may have switched on
         self.grid_s = made.clock[0] if onboard is None else onboard.control_period_s
 
     def _own(self, x: Array) -> tuple[float, ...]:
-        return tuple(
-            round(v, 9) for p, v in zip(self._fit, x.tolist(), strict=True) if not p.shifts
-        )
+        values = zip(self.fit, x.tolist(), strict=True)
+        return tuple(round(v, 9) for p, v in values if not p.shifts)
 
     def predicted(self, x: Array) -> Array:
         """What is read at each picture (n, k)."""
-        shift = {p.field: v for p, v in zip(self._fit, x.tolist(), strict=True) if p.shifts}
-        latency_s = shift.get(COMMAND_LATENCY, self._scenario.timing.command_latency_s)
+        shift = _shifts(self.fit, x)
+        latency_s = shift.get(COMMAND_LATENCY, self.scenario.timing.command_latency_s)
         whole = self._between_steps(self._own(x), latency_s)
-        times = np.arange(len(whole)) * self._scenario.camera.period
-        values, speeds = np.split(whole, 2, axis=1)
-        out = np.empty((len(self._t), values.shape[1]))
-        pixels, joints = self._pixels, ~self._pixels
+        times = np.arange(len(whole)) * self.scenario.camera.period
+        values, speeds = np.split(whole, [len(self.names)], axis=1)
+        out = np.empty_like(self.measured)
+        pixels = self._pixels
+        joints = ~pixels
         if joints.any():
-            moved = CubicHermiteSpline(times, values[:, joints], speeds[:, joints])
+            moved = CubicHermiteSpline(times, values[:, joints], speeds)
             out[:, joints] = moved(np.clip(self._t, 0, times[-1]))
         if pixels.any():
             taken = self._stamps - shift.get(STAMPS, 0.0)
@@ -734,66 +707,59 @@ class _Model:
             return before
         return (1 - share) * before + share * self._run(own, steps + 1)
 
-    def _run(self, own: tuple[float, ...], steps: float) -> Array:
-        """What is read without noise, and the joints' speeds (frames, 2 k), with these values and a
-        latency of so many steps of the grid.
-        """
-        if (steps, *own) not in self._kept:
-            self._kept[steps, *own] = self._simulated(own, steps * self.grid_s)
-        return self._kept[steps, *own]
-
     def _made(self, own: tuple[float, ...], latency_s: float) -> Scenario:
         """The scenario with these values."""
+        s = self.scenario
         values = iter(own)
-        given = {p.field: p.value(self._scenario, next(values)) for p in self._fit if not p.shifts}
+        given = {p.field: p.value(s, next(values)) for p in self.fit if not p.shifts}
         # exact sensors and an ideal camera: what is read is what there is
-        timing = {
-            "command_latency_s": latency_s,
-            "command_timeout_s": self._scenario.timing.command_timeout_s,
-        }
+        timeout_s = s.timing.command_timeout_s
         given |= {
-            "timing": timing,
+            "timing": {"command_latency_s": latency_s, "command_timeout_s": timeout_s},
             "noise": {},
             "detector": {"kind": "oracle", "field_of_view": "unlimited"},
             "calibration": {},
+            "camera.latency_s": self._latency_s,
+            "camera.readout_s": 0.0,
         }
-        given |= {"camera.latency_s": self._latency_s, "camera.readout_s": 0.0}
-        if (flow := getattr(self._scenario.robot, "velocity", None)) is not None:
+        if (flow := getattr(s.robot, "velocity", None)) is not None:
             given |= {**_EXACT, "robot.velocity": {**to_mapping(flow), "sigma_mps": 0.0}}
-        if "image" in (law := self._scenario.law).inputs:  # it moves nothing here
+        if "image" in s.law.inputs:  # it moves nothing here
             given["law"] = {"kind": "ibvs", "depth": "goal"}
-        elif law.depth.needs_pose and not self._scenario.goal.needs_pose:
+        elif s.law.depth.needs_pose and not s.goal.needs_pose:
             # a quarter of the time would be for a pose that nobody reads
             given["law.depth"] = "goal"
-        given |= {
-            f"camera.{name}": None
-            for name in ("exposure", "stream")
-            if getattr(self._scenario.camera, name) is not None
-        }
-        return parse(self._plain, self._scenario.name or "scenario", given)
+        for name in ("exposure", "stream"):
+            if getattr(s.camera, name) is not None:
+                given[f"camera.{name}"] = None
+        return parse(self._plain, s.name or "scenario", given)
 
-    def _simulated(self, own: tuple[float, ...], latency_s: float) -> Array:
-        self._say(f"{1e3 * latency_s:g} ms, {', '.join(f'{v:.5g}' for v in own)}")
-        s, period = self._made(own, latency_s), self._scenario.camera.period
-        commands = self._record.select(pl.selectors.matches(r"^u_\d+$")).to_numpy()
+    def _simulated(self, own: tuple[float, ...], steps: float) -> Array:
+        """What is read without noise (frames, k), and then the joints' speeds, with these values
+        and a latency of so many steps of the grid.
+        """
+        latency_s = steps * self.grid_s
+        self.say(f"{1e3 * latency_s:g} ms, {', '.join(f'{v:.5g}' for v in own)}")
+        s = self._made(own, latency_s)
+        period = s.camera.period
+        commands = self.record.select(COMMANDS).to_numpy()
         at = np.arange(math.ceil(self._t[-1] / period + 1e-6) + 1) * period
-        u = commands[np.clip(np.searchsorted(self._t, at + period / 2) - 1, 0, len(commands) - 1)]
-        table = fly(s, pl.DataFrame({"t": at, **{f"u_{i}": u[:, i] for i in range(u.shape[1])}}))
+        last = np.searchsorted(self._t, at + period / 2) - 1
+        u = commands[np.clip(last, 0, len(commands) - 1)]
+        table = fly(s, pl.DataFrame({"t": at, **{f"u_{i}": v for i, v in enumerate(u.T)}}))
         if len(table) < len(at):
             words = (
                 f"ends after {len(table) * period:.2f} of {at[-1]:.2f} s,"
                 " though it is commanded as in the record: does its start fit?"
             )
             raise ParameterError("robot", words)
-        speeds = [
-            table[self._qd[name]]
-            if self._qd[name] in table.columns
-            else pl.Series(np.zeros(len(table)))
-            for name in self._names
-        ]
-        return np.column_stack(
-            [table.select(self._names).to_numpy(), *(one.to_numpy() for one in speeds)]
-        )
+        speeds = [f"qd_{name[2:]}" for name in self.names if "_px_" not in name]
+        return table.select(*self.names, *speeds).to_numpy()
+
+
+def _shifts(fit: Sequence[Parameter], x: Array) -> dict[str, float]:
+    """What shifts the predictions, by fields."""
+    return {p.field: v for p, v in zip(fit, x.tolist(), strict=True) if p.shifts}
 
 
 def robot_preset(found: Identified) -> dict[str, Any]:
@@ -806,19 +772,14 @@ def robot_preset(found: Identified) -> dict[str, Any]:
             for part in path:
                 place = place.setdefault(part, {})
             value = p.value(found.scenario, v)
-            place[last] = (
-                [float(f"{one:.6g}") for one in value]
-                if isinstance(value, list)
-                else float(f"{value:.6g}")
-            )
+            digits = [float(f"{one:.6g}") for one in np.atleast_1d(value)]
+            place[last] = digits if isinstance(value, list) else digits[0]
     return block
 
 
 def overrides(found: Identified) -> dict[str, float]:
     """The scenario's other fields that were found, by their paths."""
-    shifts = {
-        p.field: v for p, v in zip(found.parameters, found.values.tolist(), strict=True) if p.shifts
-    }
+    shifts = _shifts(found.parameters, found.values)
     given = {"camera.latency_s": max(found.latency_s + shifts.get(STAMPS, 0.0), 0.0)}
     if COMMAND_LATENCY in shifts:
         given[COMMAND_LATENCY] = max(shifts[COMMAND_LATENCY], 0.0)
@@ -850,12 +811,10 @@ def lines_of(found: Identified) -> list[list[str]]:
     lines = []
     for p, v, h in zip(found.parameters, found.values, found.half, strict=True):
         name = f"{p.field} (factor)" if p.factor else p.field
-        edge = (
-            " at its bound"
-            if min(v - p.low, p.high - v) < 1e-3 * (p.high - p.low) and p.field != STAMPS
-            else ""
-        )
-        lines.append([name, f"{v:.5g}{edge}", f"{v - h:.5g} to {v + h:.5g}"])
+        value = f"{v:.5g}"
+        if min(v - p.low, p.high - v) < 1e-3 * (p.high - p.low) and p.field != STAMPS:
+            value += " at its bound"
+        lines.append([name, value, f"{v - h:.5g} to {v + h:.5g}"])
     return lines
 
 
@@ -865,10 +824,9 @@ def write(folder: Path, found: Identified, source: str, command: str) -> Path:
     from vstestbed.report.canvas import publish, style
     from vstestbed.report.pages import write_page
 
-    write_whole(
-        folder / "robot.yaml",
-        f"# found in {source}; robot.realism: this file\n{as_yaml(robot_preset(found))}",
-    )
+    preset = folder / "robot.yaml"
+    text = f"# found in {source}; robot.realism: this file\n{as_yaml(robot_preset(found))}"
+    write_whole(preset, text)
     sets = " ".join(f"--set {name}={v:g}" for name, v in overrides(found).items())
     sentences = [tested(found), INTERVAL]
     for a, b, c in found.together:
@@ -884,32 +842,24 @@ def write(folder: Path, found: Identified, source: str, command: str) -> Path:
         f"Pictures come {1e3 * found.latency_s:.1f} ms after their stamps (median),"
         f" which are {1e3 * found.jitter_s:.2f} ms uneven."
     )
+    head = "The simulator reads what the robot read"
+    state = "good"
     if found.residual >= MISFIT:
         head = "The simulator does not read what the robot read"
-    else:
-        head = (
-            "Not all is told apart" if found.together else "The simulator reads what the robot read"
-        )
-    good = found.residual < MISFIT and not found.together
+        state = "open"
+    elif found.together:
+        head = "Not all is told apart"
+        state = "open"
     tables = [("What was found", ["Parameter", "Value", "95 % interval"], lines_of(found))]
     with style():
-        plots = [
-            (
-                "Read, and predicted",
-                publish(_drawn(found), "predicted", "Readings and predictions", None),
-                CAPTION,
-            )
-        ]
+        drawn = publish(_drawn(found), "predicted", "Readings and predictions", None)
     return write_page(
         folder,
         "study.html",
         f"Identification from {source}",
-        outcome=(head, "good" if good else "open", sentences),
-        take=(
-            f"vstestbed run {found.scenario.name} --set"
-            f" robot.realism={folder / 'robot.yaml'} {sets}"
-        ),
-        plots=plots,
+        outcome=(head, state, sentences),
+        take=f"vstestbed run {found.scenario.name} --set robot.realism={preset} {sets}",
+        plots=[("Read, and predicted", drawn, CAPTION)],
         tables=tables,
         command=command,
     )
@@ -925,16 +875,14 @@ def _drawn(found: Identified) -> Figure:
     from vstestbed.report.canvas import new_figure
     from vstestbed.report.marks import LINE_COLORS
 
-    drawn, t = new_figure(4.4, 7.16), found.record["t"].to_numpy()
-    for axes, pick, label in zip(
-        drawn.subplots(2, 1, sharex=True),
-        ("q_", "u_px_"),
-        ("joints [rad, m]", "markers u [px]"),
-        strict=True,
-    ):
-        those = [i for i, name in enumerate(found.names) if name.startswith(pick)][:7]
+    drawn = new_figure(4.4, 7.16)
+    t = found.record["t"].to_numpy()
+    kinds = {"q_": "joints [rad, m]", "u_px_": "markers u [px]"}
+    for axes, (start, label) in zip(drawn.subplots(2, 1, sharex=True), kinds.items(), strict=True):
+        those = [i for i, name in enumerate(found.names) if name.startswith(start)][:7]
         for k, i in enumerate(those):
-            colour, origin = LINE_COLORS[k % len(LINE_COLORS)], found.measured[0, i]
+            colour = LINE_COLORS[k % len(LINE_COLORS)]
+            origin = found.measured[0, i]
             axes.plot(t, found.measured[:, i] - origin, ".", markersize=2, color=colour)
             axes.plot(t, found.predicted[:, i] - origin, color=colour, linewidth=0.8)
         axes.set_ylabel(label)
