@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +46,7 @@ class Polygon(Feature):
     """
 
     kind: Literal["polygon"] = "polygon"
-    least_markers: ClassVar[int] = 2
+    least_markers = 2
 
     def measure(self, xy: Array) -> Array:
         """The vector s (..., 1 + N (N-1)) of xy (..., N, 2):

@@ -13,7 +13,7 @@ import functools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
@@ -426,14 +426,14 @@ class Car(Vehicle, Onboard):
     limits: CarLimits = CarLimits()
     tyres: Tyres | None = None
     steering_play_deg: Annotated[AngleWidth, TighterBounds(le=20)] | None = None
-    presets: ClassVar[Mapping[Level, Mapping[str, object]]] = CAR
-    imperfect_wheels: ClassVar[bool] = True
-    joints: ClassVar[tuple[str, ...]] = (
+    presets = CAR
+    imperfect_wheels = True
+    joints = (
         *("steering", "front_left_steer", "front_right_steer"),
         *("rear_left", "rear_right", "front_left", "front_right"),
     )
-    control_period_s: ClassVar[float] = 0.01
-    proprioception_names: ClassVar[tuple[str, ...]] = (  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
+    control_period_s = 0.01
+    proprioception_names = (  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
         *Vehicle.proprioception_names,
         "compass",
         "steering",

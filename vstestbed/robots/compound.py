@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Le
@@ -59,7 +59,7 @@ class Compound(Arm):
     arm: Annotated[Puma560 | Mjcf, ARMS] = Puma560()
     start: ArmStart
     posture_gain: Annotated[float, Ge(0), Le(10)] = 0.5
-    avoid_limits: ClassVar[float] = 0.0
+    avoid_limits = 0.0
 
     def __post_init__(self) -> None:
         """Refuse what belongs to the arm's own block."""

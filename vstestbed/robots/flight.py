@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, ClassVar, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -399,7 +399,7 @@ class Failsafe(Supervisor):
     lands: the task ends on the ground. off_at: when the rotors went off [s]. mode: see FOLLOWS, ...
     """
 
-    DOWN: ClassVar[tuple[str, str]] = (
+    DOWN = (
         "the craft set down",
         "the craft was still on its way down when the time ran out",
     )

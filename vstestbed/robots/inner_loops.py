@@ -67,7 +67,7 @@ class VelocityServos(InnerLoop):
     """The joints' own velocity servos (`actuation`), each for itself."""
 
     kind: Literal["velocity"] = "velocity"
-    torques: ClassVar[bool] = False
+    torques = False
 
     def torque(self, arm: ArmModel, q: Array, qd: Array, q_ref: Array, setpoint: Array) -> Array:
         """Never asked."""
@@ -133,7 +133,7 @@ class Impedance(InnerLoop):
     stiffness_nmprad: tuple[Stiffness, Stiffness, Stiffness] = (100.0, 100.0, 100.0)
     damping: DampingRatio = 1.0
     at: Pose = Pose()
-    takes_wrench: ClassVar[bool] = True
+    takes_wrench = True
 
     @cached_property
     def _constants(self) -> tuple[Array, Array]:
@@ -207,7 +207,7 @@ class TorqueControl:
     needed.
     """
 
-    reading: ClassVar[type[Reading]] = Reading
+    reading = Reading
 
     def __init__(self, loop: InnerLoop, n: int, model: Callable[[], ArmModel]):
         self._loop = loop

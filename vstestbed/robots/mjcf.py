@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Le, Len
@@ -109,7 +109,7 @@ class Mjcf(Arm):
     servo_kv: Annotated[tuple[Stiffness, ...], Len(0, 7), Broadcast()] = ()
     start: ArmStart
     avoid_limits: Annotated[float, Ge(0), Le(10)] = 0.5
-    presets: ClassVar[Mapping[Level, Mapping[str, object]]] = PRESETS
+    presets = PRESETS
 
     def __post_init__(self) -> None:
         """Read the file, and refuse what does not fit it."""

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
@@ -255,9 +255,9 @@ class Omni(Vehicle, Onboard):
     parameters: OmniParameters = PLATFORM
     start: GroundStart = GroundStart()
     wheel_radius_error: Annotated[float, Gt(-0.5), Lt(1)] = 0.0
-    presets: ClassVar[Mapping[Level, Mapping[str, object]]] = OMNI
-    imperfect_wheels: ClassVar[bool] = True
-    control_period_s: ClassVar[float] = 0.004
+    presets = OMNI
+    imperfect_wheels = True
+    control_period_s = 0.004
 
     def __post_init__(self) -> None:
         for name in ("wheel_spread", "rolling_resistance", "uneven_floor"):

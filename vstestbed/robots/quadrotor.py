@@ -39,7 +39,6 @@ from vstestbed.robots.allocation import Allocation, Mount
 from vstestbed.robots.attitude import Attitude, Filter, Imu, heading_rate, level, to_body, to_level
 from vstestbed.robots.attitude import step as attitude_step
 from vstestbed.robots.base import (
-    Base,
     BodyFile,
     Onboard,
     Reading,
@@ -262,7 +261,7 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
     max_yaw_rate_radps: PositiveRate = 0.8
 
     presets: ClassVar[Mapping[Level, Mapping[str, object]]] = {"lab": LAB, "field": FIELD}
-    proprioception_names: ClassVar[tuple[str, ...]] = (  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
+    proprioception_names = (  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
         "roll",
         "pitch",
         "range",
@@ -273,10 +272,10 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
         "wy",
         "wz",
     )
-    base: ClassVar[Base] = "floating"
-    reading: ClassVar[type[Reading]] = FlightReading
-    control_period_s: ClassVar[float] = STEP_S
-    first_setpoint: ClassVar[Array] = HOLD
+    base = "floating"
+    reading = FlightReading
+    control_period_s = STEP_S
+    first_setpoint = HOLD
 
     def __post_init__(self) -> None:
         low = self.start.nominal.xyz[2]

@@ -24,7 +24,7 @@ from vstestbed.core.spec import spec
 from vstestbed.effects.base import Effect
 from vstestbed.effects.floor import UnevenFloor
 from vstestbed.effects.wheels import WheelSpread
-from vstestbed.robots.base import Base, Reading, RobotLog, RobotState, Supervisor, random_of
+from vstestbed.robots.base import Reading, RobotLog, RobotState, Supervisor, random_of
 from vstestbed.robots.realism import Realistic
 
 PLANE = np.zeros((6, 3))
@@ -161,8 +161,8 @@ class Vehicle(Realistic):
     imperfect_wheels: ClassVar[bool] = (
         False  # Whether the class's model and drive follow the three fields of its wheels
     )
-    base: ClassVar[Base] = "planar"
-    proprioception_names: ClassVar[tuple[str, ...]] = ("odo_x", "odo_y", "odo_heading")  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
+    base = "planar"
+    proprioception_names = ("odo_x", "odo_y", "odo_heading")  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
     # x of its rear and of its front end in the base frame [m]
     ends_m: ClassVar[tuple[float, float]] = (0.0, 0.0)
     turning_radius_m: ClassVar[float] = 0.0  # of its tightest circle [m]; 0: it turns on the spot
