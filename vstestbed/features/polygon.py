@@ -74,7 +74,7 @@ class Polygon(Feature):
         half_inv = 0.5 * bounded_inverse(np.sqrt(np.abs(area))) * np.sign(area)
         size_row = half_inv[..., None] * np.einsum("...nc,...nck->...k", slope, points)
         d = segments(xy)
-        (i, j) = np.triu_indices(xy.shape[-2], 1)
+        i, j = np.triu_indices(xy.shape[-2], 1)
         across = np.stack([-d[..., 1], d[..., 0]], axis=-1)
         share = _weights(d) * bounded_inverse(np.hypot(d[..., 0], d[..., 1])) ** 2
         angle_row = np.einsum(
