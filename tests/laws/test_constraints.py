@@ -26,7 +26,6 @@ from vstestbed.robots.own_model import OwnModel
 
 POINTS = np.array([[-0.2, -0.2, 0.05], [0.2, -0.2, 0.0], [0.25, 0.2, 0.0], [-0.2, 0.2, 0.0]])
 T_GOAL = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 1.0], [0, 0, 0, 1]])
-REST = np.zeros(6)
 
 
 def arm(**more: object) -> OwnModel:
@@ -63,7 +62,7 @@ def test_barriers_are_those_of_the_markers_edges_in_any_lens(camera: Perspective
     T = exp(np.array([0.1, -0.05, 0.9, 0.2, -0.1, 0.3]))
     observation, goal = seen(camera, T)
     robot, rng = arm(), np.random.default_rng(0)
-    group = border(observation, goal, robot, 12.0, 3.0, REST)
+    group = border(observation, goal, robot, 12.0, 3.0)
     for rates in rng.normal(size=(5, 6)):
         ahead, behind = (
             camera.project(transform(exp(-side * 1e-6 * (robot.J @ rates)) @ T, POINTS))
@@ -83,18 +82,18 @@ def test_barriers_hold_where_the_command_takes_effect() -> None:
     way = np.array([0.01, -0.005, 0.01, 0.0, 0.01, 0.02])
     robot = arm(underway=way, coming=way)  # by commands that are still to take effect
     later, _ = seen(camera, exp(-robot.way) @ T)
-    group = border(observation, goal, robot, 12.0, 3.0, REST)
+    group = border(observation, goal, robot, 12.0, 3.0)
     h = camera.borders(later.uv)[0].ravel() - 7.0 - 12.0
     # px/s, of barriers 100 to 900 px away
     np.testing.assert_allclose(group.low, -3.0 * h, atol=5.0)
-    assert np.abs(border(observation, goal, arm(), 12.0, 3.0, REST).low - group.low).max() > 20
+    assert np.abs(border(observation, goal, arm(), 12.0, 3.0).low - group.low).max() > 20
 
 
 def test_a_marker_that_is_not_seen_has_no_barrier() -> None:
     observation, goal = seen(Perspective(), T_GOAL)
     lost = observation.only(np.array([True, False, True, False]))
-    assert len(border(lost, goal, arm(), 5.0, 3.0, REST).A) == 8
-    assert len(border(lost.only(np.zeros(4, bool)), goal, arm(), 5.0, 3.0, REST).A) == 0
+    assert len(border(lost, goal, arm(), 5.0, 3.0).A) == 8
+    assert len(border(lost.only(np.zeros(4, bool)), goal, arm(), 5.0, 3.0).A) == 0
 
 
 def test_the_distance_to_the_targets_plane() -> None:

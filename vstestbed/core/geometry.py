@@ -258,8 +258,8 @@ def inverse(T: Array) -> Array:
 
 
 def homogeneous(points: Array) -> Array:
-    """Points (N, d) with a 1 after the coordinates of each, (N, d + 1)."""
-    return np.column_stack([points, np.ones(len(points))])
+    """Points (..., d) with a 1 after the coordinates of each, (..., d + 1)."""
+    return np.concatenate([points, np.ones((*points.shape[:-1], 1))], axis=-1)
 
 
 def transform(T: Array, p: Array) -> Array:

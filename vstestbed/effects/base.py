@@ -75,8 +75,8 @@ class StateIndices:
             name if (name := f"{prefix}{MOTOR}{joint}") in named else prefix + joint
             for joint in joints
         ]
-        (qpos, qvel) = places_of(model, [prefix + joint for joint in joints])
-        (motor_qpos, motor_qvel) = places_of(model, motors)
+        qpos, qvel = places_of(model, [prefix + joint for joint in joints])
+        motor_qpos, motor_qvel = places_of(model, motors)
         numbers = np.array([model.actuator(prefix + name).id for name in actuators], dtype=int)
         activations = model.actuator_actadr[numbers]
         ctrl = model.actuator_ctrladr[numbers]

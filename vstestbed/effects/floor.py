@@ -12,7 +12,7 @@ dimension; here in two).
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import numpy as np
 from annotated_types import Ge, Le
@@ -43,7 +43,7 @@ class UnevenFloor(Effect):
         seed: of the heights; none: one is drawn with the scenario's seed [1]; e.g. `3`.
     """
 
-    uneven: ClassVar[bool] = True
+    uneven = True
     rms_m: Annotated[PositiveLength, TighterBounds(le=0.05)] = 0.002
     correlation_m: Annotated[PositiveLength, TighterBounds(ge=0.1, le=10)] = 0.3
     seed: FloorSeed | None = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from annotated_types import Len
@@ -84,7 +84,7 @@ class WindField(Actor):
     wind: parameters. model: receives it as `opt.wind`. rng: generator of the turbulence.
     """
 
-    with_controller: ClassVar[bool] = True
+    with_controller = True
 
     def __init__(self, wind: Wind, model: mujoco.MjModel, rng: np.random.Generator):
         self._wind = wind

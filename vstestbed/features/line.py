@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -45,8 +45,8 @@ class LineFeature(Feature):
 
     kind: Literal["line"] = "line"
     directed: bool = True
-    rows_per_marker: ClassVar[int] = 2
-    least_markers: ClassVar[int] = 2
+    rows_per_marker = 2
+    least_markers = 2
 
     def measure(self, xy: Array) -> Array:
         """The vector s (..., 2 lines) [1, rad] of xy (..., N, 2)."""
@@ -234,7 +234,7 @@ class Segment(Feature):
 
     kind: Literal["segment"] = "segment"
     normalised: bool = False
-    least_markers: ClassVar[int] = 2
+    least_markers = 2
 
     def measure(self, xy: Array) -> Array:
         """The vector s (..., 4) [1, 1, 1, rad] of xy (..., N, 2)."""

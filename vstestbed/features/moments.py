@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import combinations
 from math import comb
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import Len
@@ -413,7 +413,7 @@ class Moments(Feature):
     kind: Literal["moments"] = "moments"
     of: Of = "points"
     rows: Annotated[tuple[Row, ...], Len(1, 12)] = ("xn", "yn", "an", "sx", "sy", "alpha")
-    least_markers: ClassVar[int] = 3
+    least_markers = 3
 
     def __post_init__(self) -> None:
         if twice := [row for i, row in enumerate(self.rows) if row in self.rows[:i]]:
@@ -601,7 +601,7 @@ class Ellipse(Feature):
     rows: Annotated[
         tuple[Literal["xg", "yg", "n20", "n11", "n02", "xn", "yn", "an"], ...], Len(1, 8)
     ] = ("xg", "yg", "n20", "n11", "n02")
-    least_markers: ClassVar[int] = 5
+    least_markers = 5
 
     def measure(self, xy: Array) -> Array:
         """The vector s (..., rows) of points xy (..., N, 2) on the outline; NaN where the conic

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -23,7 +23,7 @@ class Point(Feature):
     """
 
     kind: Literal["point"] = "point"
-    rows_per_marker: ClassVar[int] = 2
+    rows_per_marker = 2
 
     def measure(self, xy: Array) -> Array:
         """The vector s (..., 2N) of xy (..., N, 2)."""
@@ -74,8 +74,8 @@ class StereoPoint(Feature):
     kind: Literal["stereo"] = "stereo"
     form: Literal["disparity", "pair"] = "disparity"
     baseline_m: PositiveLength = 0.1
-    inputs: ClassVar[tuple[str, ...]] = ("xyw", "depth")
-    rows_per_marker: ClassVar[int] = 3
+    inputs = ("xyw", "depth")
+    rows_per_marker = 3
 
     def measure(self, xyw: Array) -> Array:
         """The vector s (..., 3N) of xyw (..., N, 3)."""
@@ -112,7 +112,7 @@ class Bearings(Feature):
 
     together: bool = True
     centre_weight: bool = True
-    rows_per_marker: ClassVar[int] = 2
+    rows_per_marker = 2
 
     def error(self, s: Array, s_star: Array) -> Array:
         """Error s - s* (..., 2N); that of bearings is w w* wrap(phi - phi*), whose derivative at
@@ -196,7 +196,7 @@ class Spherical(Bearings):
     """
 
     kind: Literal["spherical"] = "spherical"
-    inputs: ClassVar[tuple[str, ...]] = ("ray", "range")
+    inputs = ("ray", "range")
 
     def measure(self, ray: Array) -> Array:
         """The vector s (..., 2N) [rad] of rays (..., N, 3), of any length."""

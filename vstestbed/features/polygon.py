@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +46,7 @@ class Polygon(Feature):
     """
 
     kind: Literal["polygon"] = "polygon"
-    least_markers: ClassVar[int] = 2
+    least_markers = 2
 
     def measure(self, xy: Array) -> Array:
         """The vector s (..., 1 + N (N-1)) of xy (..., N, 2):
@@ -74,7 +74,7 @@ class Polygon(Feature):
         half_inv = 0.5 * bounded_inverse(np.sqrt(np.abs(area))) * np.sign(area)
         size_row = half_inv[..., None] * np.einsum("...nc,...nck->...k", slope, points)
         d = segments(xy)
-        (i, j) = np.triu_indices(xy.shape[-2], 1)
+        i, j = np.triu_indices(xy.shape[-2], 1)
         across = np.stack([-d[..., 1], d[..., 0]], axis=-1)
         share = _weights(d) * bounded_inverse(np.hypot(d[..., 0], d[..., 1])) ** 2
         angle_row = np.einsum(

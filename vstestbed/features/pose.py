@@ -4,7 +4,7 @@ of the logarithm of a depth.
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -26,8 +26,8 @@ class ThetaU:
 
     kind: Literal["theta_u"] = "theta_u"
     rotation: Literal["cdRc", "cRcd"] = "cdRc"
-    inputs: ClassVar[tuple[str, ...]] = ("T_camera_target",)
-    rows_per_marker: ClassVar[int] = 0
+    inputs = ("T_camera_target",)
+    rows_per_marker = 0
 
     def measure(self, R: Array) -> Array:
         """The vector s (..., 3) [rad] of the rotation R (..., 3, 3) that `rotation` names."""

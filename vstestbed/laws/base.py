@@ -58,8 +58,8 @@ class Command:
     u for which it stands.
 
     Attributes:
-        u: velocities along the robot's motions (n,) [m/s, rad/s]. twist: the camera twist (6,), (v,
-            w) in the camera frame [m/s, rad/s].
+        u: velocities along the robot's motions (n,) [m/s, rad/s].
+        twist: the camera twist (6,), (v, w) in the camera frame [m/s, rad/s].
         rest_reason: why the law orders rest although the goal is not reached; "" while it works.
             With a motion beside it, the law cannot measure, and holds its last command.
         scale: factor in (0, 1] by which the law's own limits shortened the twist.
@@ -220,9 +220,9 @@ class Law(Generic[M]):
         depth: the source of the markers' depth (`Depth`), and with it of the target's pose.
         feature: the image feature (`Feature`) whose error is regulated, for reports; None for a law
             that has no single one.
-        limits: largest speed and rate of the commanded twist (`TwistLimits`). visibility: the field
-            at the border of the image (`Visibility`). feedforward: the term for a moving target
-            (`Feedforward`).
+        limits: largest speed and rate of the commanded twist (`TwistLimits`).
+        visibility: the field at the border of the image (`Visibility`).
+        feedforward: the term for a moving target (`Feedforward`).
         cruise_mps: the constant speed at which the law drives a vehicle along a line [m/s]; None
             for a law that sets none.
         rest_m: distance from the goal under which the law stands still for good [m]; 0 for a law
@@ -233,7 +233,7 @@ class Law(Generic[M]):
             their values in each frame.
         cameras: further cameras whose equations the law stacks below its own, by name, with their
             weights.
-        stacks: whether it can.
+        stacks: whether a scenario may give it `cameras`.
         needs_same_markers: whether each row must show the same marker in every picture, in the
             target's order.
         idle: names of its gains that do nothing with the values of its other fields, and need no
@@ -304,8 +304,8 @@ class Law(Generic[M]):
 
 
 class LawFailedError(VstestbedError):
-    """A law failed that cannot raise its own exception, since it is in another process: what it
-    did, in a sentence.
+    """A law failed in a process of its own, which cannot pass its exception on: what happened, in a
+    sentence.
     """
 
 
@@ -313,8 +313,9 @@ LawBase = Law  # the name from which plugins derive
 
 
 def held(limits: TwistLimits, u: Array | None, basis: Array, why: str) -> Command:
-    """A frame without a measurement: the last command u (n,) again, rest where that is None; why:
-    in words.
+    """A frame without a measurement: the last command u (n,) again, or rest where there was none.
+
+    why: the law has no measurement, in words.
     """
     if u is None:
         return Command.rest(basis, why)
@@ -334,16 +335,17 @@ OBSERVATION_FIELDS = tuple(f.name for f in fields(Observation))
 LAW_CONTRACT = Contract(Law, base=Law, words={"inputs": (*OBSERVATION_FIELDS, "xyw")})
 
 
-# Views of a batch of ideal cameras, with the field names of an Observation.
 @dataclass(frozen=True)
 class Views:
-    """M views of the same N markers at one instant; every camera sees all of them.
+    """M views of the same N markers at one instant, by a batch of ideal cameras that see all of
+    them; with the field names of an Observation.
 
     Attributes:
-        t: time [s]. p: the markers in the camera frame (M, N, 3) [m]. T_camera_target: poses (M, 4,
-            4).
-        goal: the goal view of these markers. depth_from: the source of depth; `pnp` and `oracle`
-            give the true depth.
+        t: time [s].
+        p: the markers in the camera frame (M, N, 3) [m].
+        T_camera_target: poses (M, 4, 4).
+        goal: the goal view of these markers.
+        depth_from: the source of depth; `pnp` and `oracle` give the true depth.
         marker_radius_m: of every marker [m].
     """
 
@@ -410,13 +412,15 @@ class Views:
         """What the law of run i is shown: of the costly fields those that it names. moved: its last
         motion (6,); None: none.
         """
-        rays = (self.ray[i], self.range[i]) if {"ray", "range"} & set(inputs) else (None, None)
-        radius = self.radius_px[i] if "radius_px" in inputs else None
-        robot = None
+        seen = Observation(self.t, self.uv[i], self.xy[i], self.depth[i], self.T_camera_target[i])
+        if {"ray", "range"} & set(inputs):
+            seen = replace(seen, ray=self.ray[i], range=self.range[i])
+        if "radius_px" in inputs:
+            seen = replace(seen, radius_px=self.radius_px[i])
         if "robot" in inputs:
             robot = OwnModel.of_ideal_camera(self.goal.camera.period, moved)
-        seen = self.xy[i], self.depth[i], self.T_camera_target[i]
-        return Observation(self.t, self.uv[i], *seen, *rays, radius_px=radius, robot=robot)
+            seen = replace(seen, robot=robot)
+        return seen
 
 
 def has_batch(law: Any) -> bool:

@@ -26,6 +26,7 @@ ITERATIONS = 500
 SOLVED = 1, 2
 INFEASIBLE = -1
 SOFT = 8  # the solver's mark of a soft constraint
+NOT_SOLVED = "the quadratic program was not solved"
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,16 +45,22 @@ class Group:
         """No inequalities of n unknowns."""
         return cls(word, np.zeros((0, n)), np.zeros(0))
 
+    @classmethod
+    def finite(cls, word: str, A: Array, low: Array) -> Group:
+        """Those of the inequalities whose low is finite: others bound nothing."""
+        known = np.isfinite(low)
+        return cls(word, A[known], low[known])
+
 
 @dataclass(frozen=True, slots=True)
 class Solution:
     """What a program gave.
 
     Attributes:
-        x: (n,); None where it could not be solved. gave_way: words of the groups that had to, the
-            softest first.
-        bound: whether a bound or an inequality is met with equality. failure: the solver's exit
-            code in words; "" where it solved.
+        x: (n,); None where it could not be solved.
+        gave_way: words of the groups that had to, the softest first.
+        bound: whether a bound or an inequality is met with equality.
+        failure: the solver's exit code in words; "" where it solved.
     """
 
     x: Array | None
@@ -123,9 +130,7 @@ def minimise(
     for group in groups:
         numbers += group.A, group.low
     if not all(map(all_finite, numbers)):
-        return Solution(
-            None, failure="the quadratic program was not solved: it has numbers that are not finite"
-        )
+        return Solution(None, failure=f"{NOT_SOLVED}: it has numbers that are not finite")
     A = A * units
     low = low / units
     high = high / units
@@ -140,12 +145,11 @@ def minimise(
     rows, floor = _of_unit_length(groups, len(H))
     upper = np.concatenate([high, np.full(len(rows), np.inf)])
     lower = np.concatenate([low, floor])
-    begins = len(low)  # of the rows of the groups
-    ends = begins + np.cumsum([0, *map(len, groups)])
+    # in `lower` and `upper` the bounds of x come first, then the rows of each group
+    ends = len(low) + np.cumsum([0, *map(len, groups)])
     sense = np.zeros(len(upper), dtype=np.int32)
-    why = "its bounds contradict each other"
-    for level in range(len(groups) + 1):
-        sense[begins : ends[level]] = SOFT
+    for level in range(len(groups) + 1):  # so many groups may give way
+        sense[ends[0] : ends[level]] = SOFT
         # A squared violation costs 1e6 times the mean curvature of the objective.
         x, _, code, info = load_solver()(
             H, f, rows, upper, lower, sense, iter_limit=ITERATIONS, rho_soft=1e-6
@@ -154,9 +158,8 @@ def minimise(
             gave_way = _violated(groups[:level], x)
             return Solution(np.clip(x, low, high) * units, gave_way, bool(np.any(info["lam"])))
         if code != INFEASIBLE:
-            why = f"the solver stopped with code {code}"
-            break
-    return Solution(None, failure=f"the quadratic program was not solved: {why}")
+            return Solution(None, failure=f"{NOT_SOLVED}: the solver stopped with code {code}")
+    return Solution(None, failure=f"{NOT_SOLVED}: its bounds contradict each other")
 
 
 def _violated(groups: tuple[Group, ...], x: Array) -> tuple[str, ...]:
@@ -173,8 +176,9 @@ def _of_unit_length(groups: tuple[Group, ...], n: int) -> tuple[Array, Array]:
     """The rows (m, n) of all groups, each of the length 1, but for rows of zeros; and their low
     (m,).
     """
-    rows = np.concatenate([np.zeros((0, n)), *(group.A for group in groups)])
-    low = np.concatenate([np.zeros(0), *(group.low for group in groups)])
+    none = Group.none("", n)  # for a program without groups
+    rows = np.vstack([group.A for group in (none, *groups)])
+    low = np.concatenate([group.low for group in (none, *groups)])
     size = np.linalg.norm(rows, axis=1)
     size[size < np.finfo(float).tiny] = 1.0
     return rows / size[:, None], low / size
@@ -236,7 +240,7 @@ def off_singularities(robot: OwnModel, least: float, rate: float) -> Group:
     n = len(robot.names)
     scale = unit_scale(robot.unit_m)[:, None]
     U, s, Vt = np.linalg.svd(robot.J * scale)
-    if n < 6 or not 0.5 * least < s[-1] < 4 * least:  # beyond, it could not bind within a frame
+    if n < 6 or not 0.5 * least < s[-1] < 4 * least:  # beyond 4, it could not bind within a frame
         return Group.none("singularity", n)
     u = U[:, len(s) - 1]
     v = Vt[len(s) - 1]
@@ -254,15 +258,13 @@ def shared_limits(robot: OwnModel, forward: float) -> Group:
     with -v.
     """
     A = np.vstack([robot.sums, -robot.sums])
-    low = -np.concatenate([robot.most, robot.most])
+    low = -np.tile(robot.most, 2)
     if robot.turning_radius_m > 0:
-        sign = 1.0 if forward >= 0 else -1.0
-        r = robot.turning_radius_m
         circle = np.zeros((2, len(robot.names)))
-        circle[:, 0] = sign / r
+        circle[:, 0] = (1.0 if forward >= 0 else -1.0) / robot.turning_radius_m
         circle[:, -1] = 1.0, -1.0
         A = np.vstack([A, circle])
-        low = np.concatenate([low, np.zeros(2)])
+        low = np.append(low, [0.0, 0.0])
     return Group("shared", A, low)
 
 
@@ -270,27 +272,21 @@ def twist_limits(speed_mps: float | None, rate_radps: float | None, J: Array) ->
     """|v_i| <= speed_mps, |w_i| <= rate_radps (None: no limit) for each component of the camera
     twist J @ rates: a box.
     """
-    rows = [np.zeros((0, J.shape[1]))]
-    low = [np.zeros(0)]
-    for limit, part in ((speed_mps, J[:3]), (rate_radps, J[3:])):
-        if limit is not None:
-            rows += [part, -part]
-            low.append(np.full(6, -limit))
-    return Group("twist", np.vstack(rows), np.concatenate(low))
+    parts = J.reshape(2, 3, -1)  # v and w
+    A = np.stack([parts, -parts], axis=1).reshape(12, -1)
+    low = -np.repeat([speed_mps or np.inf, rate_radps or np.inf], 6)
+    return Group.finite("twist", A, low)
 
 
-def border(
-    seen: Observation, goal: Goal, robot: OwnModel, margin_px: float, rate: float, target: Array
-) -> Group:
+def border(seen: Observation, goal: Goal, robot: OwnModel, margin_px: float, rate: float) -> Group:
     """Barriers h_dot >= -rate h of each visible marker at each border of the picture: h = its
     edge's distance to it, less the margin [px].
 
-    h_dot = n^T L (J rates + target) with n the border's inward normal, L the interaction matrix of
-    the pixel in this lens, at the place where the marker will be when the command takes effect. A
-    marker outside comes back at the rate.
+    h_dot = n^T L J rates with n the border's inward normal, L the interaction matrix of the pixel
+    in this lens, at the place where the marker will be when the command takes effect. A marker
+    outside comes back at the rate.
 
-    margin_px: distance of a marker's edge from the border [px]. rate: of the barrier [1/s]. target:
-    camera twist (6,) that would move the markers as the target's own motion does.
+    margin_px: distance of a marker's edge from the border [px]. rate: of the barrier [1/s].
 
     Reference: Ames, Coogan, Egerstedt, Notomista, Sreenath & Tabuada 2019,
     doi:10.23919/ECC.2019.8796030 (barrier functions).
@@ -300,13 +296,12 @@ def border(
     if isinstance(rows, str) or len(goal.camera.panels) > 1:
         return Group.none("border", robot.J.shape[1])
     L = pixel_interaction(goal.camera, points(seen)[rows])
-    there = seen.uv[rows] + L @ (robot.way + target * robot.underway_s)
+    there = seen.uv[rows] + L @ robot.way
     distance, inwards = goal.camera.borders(there)
     radius = 0.0 if seen.radius_px is None else seen.radius_px[rows][:, None]
     h = (distance - radius - margin_px).ravel()
     h_dot = np.einsum("nbk,nki->nbi", inwards, L).reshape(len(h), 6)
-    known = np.isfinite(h)
-    return Group("border", (h_dot @ robot.J)[known], (-rate * h - h_dot @ target)[known])
+    return Group.finite("border", h_dot @ robot.J, -rate * h)
 
 
 def above_plane(

@@ -17,7 +17,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, adjoint, exp, inverse
 from vstestbed.core.quantity import Time
 from vstestbed.core.spec import spec
-from vstestbed.features.observation import Goal, Observation
+from vstestbed.features.observation import CameraView, Goal, Observation
 from vstestbed.laws.base import Command, ConstantGain, Gain, Law, Motions, TwistLimits, Views, held
 from vstestbed.laws.feedforward import (
     Estimator,
@@ -40,6 +40,8 @@ from vstestbed.laws.points import (
 from vstestbed.laws.solve import Solve, least_squares, units_of
 
 StackWeight = Annotated[float, Gt(0), Le(1e3)]
+Equations = tuple[Array, Array]
+"""An error e (..., rows) and its Jacobian J (..., rows, 6), e_dot = J v."""
 DEAD_RECKON_S = 0.3
 """How long what is not seen is dead-reckoned by the estimated motion of the target [s]: longer, and
 what it accelerates by counts.
@@ -54,14 +56,16 @@ class ErrorState:
     Attributes:
         extra: numbers (k,) that a law adds to it, NaN before the first frame
             (`ErrorLaw.extra_size`).
-        t0: time of the first command [s]. u0: that command without the smooth start (n,).
-        t: time of the last command [s]. u: that command, before limits (n,). All four only where a
-            later command depends on them.
+        t0: time of the first command [s]; it and the next three only where a later command depends
+            on them.
+        u0: the first command without the smooth start (n,).
+        t: time of the last command [s].
+        u: the last command, before limits (n,).
         seen: the last observation, with what was dead-reckoned, with which the next is compared;
             None before the first.
         known_t: time of the last observation that sufficed for the law [s]; NaN before the first.
         marker_t: time of the last observation of each marker (N,) [s]; None before the first.
-            target: the estimate of the target's motion.
+        target: the estimate of the target's motion.
         integral: integral of the remaining motion (n,), for the feedforward `integral`.
     """
 
@@ -131,7 +135,7 @@ class ErrorLaw(Law[ErrorState], ABC):
     extra_size = 0  # Numbers k that the law adds to the state (`ErrorState.extra`)
 
     @abstractmethod
-    def equations(self, view: Any, goal: Any) -> tuple[Array, Array]:
+    def equations(self, view: Any, goal: Any) -> Equations:
         """The error e (..., rows) and J (..., rows, 6) with e_dot = J v, v (6,) the camera twist; J
         (rows, 6) where all views share it.
 
@@ -142,13 +146,15 @@ class ErrorLaw(Law[ErrorState], ABC):
         fields alone.
         """
 
-    def _checked(self, e: Array, J: Array) -> tuple[Array, Array]:
+    def _checked(self, view: Any, goal: Any) -> Equations:
+        """Those of a view, of which the shapes are right; ParameterError where they are not."""
+        e, J = self.equations(view, goal)
         if J.ndim < 2 or J.shape[-1] != 6 or e.shape[-1:] != J.shape[-2:-1]:
             works = f"{type(self).__name__}.equations must give e (..., rows) and J (..., rows, 6)"
             raise ParameterError("law", f"{works}; it gave e {e.shape} and J {J.shape}")
         return e, J
 
-    def change(self, before: Observation, now: Observation, goal: Goal) -> tuple[Array, Array]:
+    def change(self, before: Observation, now: Observation, goal: Goal) -> Equations:
         """The error of this view from the last one (rows,) and its Jacobian (rows, 6), for the
         feedforward.
 
@@ -167,7 +173,7 @@ class ErrorLaw(Law[ErrorState], ABC):
     def motion(
         self,
         extra: Array,
-        equations: tuple[Array, Array],
+        equations: Equations,
         view: Any,
         goal: Goal,
         basis: Array | None,
@@ -233,11 +239,13 @@ class ErrorLaw(Law[ErrorState], ABC):
         """
         if self.cameras:
             why = ""
-        return replace(command, free=free, rest_reason=why) if free or why else command
+        if free or why:
+            return replace(command, free=free, rest_reason=why)
+        return command
 
     def _measured(
         self, known: Observation, rows: Rows | str, goal: Goal, basis: Array
-    ) -> tuple[tuple[Array, Array], Observation, Goal] | str:
+    ) -> tuple[Equations, Observation, Goal] | str:
         """The error and its Jacobian, with the views of which they are; or the reason for rest.
         rows: usable ones, or why none are.
         """
@@ -246,8 +254,10 @@ class ErrorLaw(Law[ErrorState], ABC):
             return stacked if isinstance(stacked, str) else (stacked, known, goal)
         if isinstance(rows, str):
             return rows
-        view, at = (known, goal) if rows is ALL else (known.of_rows(rows), goal.of_rows(rows))
-        return self._checked(*self.equations(view, at)), view, at
+        if rows is not ALL:
+            known = known.of_rows(rows)
+            goal = goal.of_rows(rows)
+        return self._checked(known, goal), known, goal
 
     def _limited(
         self,
@@ -271,7 +281,7 @@ class ErrorLaw(Law[ErrorState], ABC):
             after = replace(after, integral=state.integral)
         return after, command
 
-    def _stacked(self, own: Observation, goal: Goal, basis: Array) -> tuple[Array, Array] | str:
+    def _stacked(self, own: Observation, goal: Goal, basis: Array) -> Equations | str:
         """The error (rows,) and its Jacobian (rows, 6) in all pictures, each with what it shows, or
         the reason for rest.
         """
@@ -279,19 +289,18 @@ class ErrorLaw(Law[ErrorState], ABC):
         found = 0
         errors = []
         jacobians = []
-        views = own.cameras or {}
+        this = CameraView(own, goal, np.eye(4), rigid=True)
+        views = {"": this, **(own.cameras or {})}
         for name, weight in {"": 1.0, **self.cameras}.items():
-            other = views.get(name)
-            if name and other is None:
+            view = views.get(name)
+            if view is None or view.goal is None:
                 continue
-            seen, at = (own, goal) if other is None else (other.seen, other.goal)
-            rows = self._rows_of(seen, fewest)
-            if at is None or rows is None:
+            rows = self._rows_of(view.seen, fewest)
+            if rows is None:
                 continue
-            e, J = self._checked(*self.equations(seen.of_rows(rows), at.of_rows(rows)))
-            if other is not None:
-                J = J @ adjoint(inverse(other.T_camera_this))
-            found += len(seen.uv[rows])
+            e, J = self._checked(view.seen.of_rows(rows), view.goal.of_rows(rows))
+            J = J @ adjoint(inverse(view.T_camera_this))
+            found += len(view.seen.uv[rows])
             errors.append(math.sqrt(weight) * e)
             jacobians.append(math.sqrt(weight) * J)
         if found < self.markers_needed(basis):
@@ -318,7 +327,7 @@ class ErrorLaw(Law[ErrorState], ABC):
         state: NaN before the first frame. views: the current views. goal: the goal view of the same
             markers.
         """
-        equations = self._checked(*self.equations(views, goal))
+        equations = self._checked(views, goal)
         extra, u, _ = self.motion(state[:, : self.extra_size], equations, views, goal, None, None)
         assert not isinstance(u, str)
         if not self._shapes:
@@ -414,7 +423,7 @@ class ErrorLaw(Law[ErrorState], ABC):
 
     def _change(
         self, state: ErrorState, now: Observation, goal: Goal, basis: Array
-    ) -> tuple[Array, Array] | None:
+    ) -> Equations | None:
         """`change` since the last frame, by the markers that are known in both; None where they are
         too few, or a pose is lacking.
         """
@@ -424,8 +433,11 @@ class ErrorLaw(Law[ErrorState], ABC):
             return None
         if of_markers:
             both = now.same(before)
-            for values in (getattr(view, name) for name in of_markers for view in (before, now)):
-                both = both & np.isfinite(values if values.ndim == 1 else values[:, 0])
+            for view in (before, now):
+                for name in of_markers:
+                    values = getattr(view, name)
+                    first = values if values.ndim == 1 else values[:, 0]
+                    both = both & np.isfinite(first)
             if np.count_nonzero(both) < self.markers_needed(basis):
                 return None
             if not both.all():

@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import Ge, Le
@@ -75,12 +75,11 @@ class TargetEstimate:
 
 def _model(order: int, dt: float) -> Array:
     """Transition matrix (order, order) of displacement, rate, ... over dt [s]."""
-    return np.array(
-        [
-            [dt ** (j - i) / math.factorial(j - i) if j >= i else 0.0 for j in range(order)]
-            for i in range(order)
-        ]
-    )
+    F = np.eye(order)
+    for i in range(order):
+        for j in range(i + 1, order):
+            F[i, j] = dt ** (j - i) / math.factorial(j - i)
+    return F
 
 
 def white_noise(order: int, dt: float, density: float) -> Array:
@@ -92,16 +91,13 @@ def white_noise(order: int, dt: float, density: float) -> Array:
     Reference: Bar-Shalom et al. 2001, eqs 6.2.2-4, 6.2.3-2.
     """
     k = order
-    f = math.factorial
-    return density * np.array(
-        [
-            [
-                dt ** (2 * k - 1 - i - j) / (f(k - 1 - i) * f(k - 1 - j) * (2 * k - 1 - i - j))
-                for j in range(k)
-            ]
-            for i in range(k)
-        ]
-    )
+    Q = np.zeros((k, k))
+    for i in range(k):
+        for j in range(k):
+            power = 2 * k - 1 - i - j
+            factorials = math.factorial(k - 1 - i) * math.factorial(k - 1 - j)
+            Q[i, j] = dt**power / (factorials * power)
+    return density * Q
 
 
 @spec
@@ -163,40 +159,43 @@ class AlphaBeta:
         return TargetEstimate(state, moved, before.P)
 
 
-def _kalman_update(
-    self: KalmanCV | KalmanCA,
-    before: TargetEstimate | None,
-    step: Array | None,
-    dt: float,
-    size: int,
-) -> TargetEstimate:
-    """As `AlphaBeta.update`, by a Kalman filter with `order` states, displacement first.
+class _Kalman:
+    """A Kalman filter with `order` states, displacement first.
 
     The measurement and the next derivative have white noise, whose ratio sets the bandwidth: in
     continuous time the steady filter's poles are those of a Butterworth filter with the corner
     (density ratio)^(1/(2 order)).
     """
-    k = self.order
-    corner = 2 * math.pi * self.bandwidth_hz
-    if before is None:
-        P = np.diag([corner, *(LEARNS * corner ** (2 * i + 1) for i in range(1, k))])
-        return TargetEstimate(np.zeros((k, size)), np.zeros(size), P)
-    F = _model(k, dt)
-    state = F @ before.state
-    P = F @ before.P @ F.T + white_noise(k, dt, corner ** (2 * k))
-    if step is None:  # prediction only; the measured displacement continues from the predicted one
-        return TargetEstimate(state, state[0], P)
-    moved = before.moved + step
-    # measurement noise of unit density: its variance in one sample is 1/dt
-    K = P[:, 0] / (P[0, 0] + 1 / dt)
-    return TargetEstimate(state + np.outer(K, moved - state[0]), moved, P - np.outer(K, P[0]))
+
+    order: Any  # a constant of each
+    bandwidth_hz: Any  # a field of each
+
+    def update(
+        self, before: TargetEstimate | None, step: Array | None, dt: float, size: int
+    ) -> TargetEstimate:
+        """As `AlphaBeta.update`."""
+        k = self.order
+        corner = 2 * math.pi * self.bandwidth_hz
+        if before is None:
+            P = np.diag([corner, *(LEARNS * corner ** (2 * i + 1) for i in range(1, k))])
+            return TargetEstimate(np.zeros((k, size)), np.zeros(size), P)
+        F = _model(k, dt)
+        state = F @ before.state
+        P = F @ before.P @ F.T + white_noise(k, dt, corner ** (2 * k))
+        # prediction only; the measured displacement continues from the predicted one
+        if step is None:
+            return TargetEstimate(state, state[0], P)
+        moved = before.moved + step
+        # measurement noise of unit density: its variance in one sample is 1/dt
+        K = P[:, 0] / (P[0, 0] + 1 / dt)
+        return TargetEstimate(state + np.outer(K, moved - state[0]), moved, P - np.outer(K, P[0]))
 
 
 Bandwidth = Annotated[Frequency, TighterBounds(le=100)]
 
 
 @spec
-class KalmanCV:
+class KalmanCV(_Kalman):
     """A Kalman filter for a target of constant velocity, disturbed by white acceleration.
 
     Args:
@@ -212,11 +211,10 @@ class KalmanCV:
     order = 2
     bandwidth_hz: Bandwidth = 5.0
     predict_s: Ahead | None = 0.0
-    update = _kalman_update
 
 
 @spec
-class KalmanCA:
+class KalmanCA(_Kalman):
     """A Kalman filter for a target of constant acceleration, disturbed by white jerk: its rate does
     not lag, and is noisier.
 
@@ -230,7 +228,6 @@ class KalmanCA:
     order = 3
     bandwidth_hz: Bandwidth = 2.0
     predict_s: Ahead | None = 0.0
-    update = _kalman_update
 
 
 @spec

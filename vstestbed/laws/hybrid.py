@@ -12,7 +12,7 @@ from vstestbed.core.spec import spec
 from vstestbed.features import Point, ThetaU
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.features.pose import log_depth_interaction
-from vstestbed.laws.error_law import ErrorLaw
+from vstestbed.laws.error_law import Equations, ErrorLaw
 
 # markers lie in a plane (on a line) if they extend less than this share of the set's length off it
 FLAT = 1e-3
@@ -82,13 +82,13 @@ class Hybrid(ErrorLaw):
         """Four determine a homography; three a pose, next to the last one."""
         return 4 if self.source == "homography" else 3
 
-    def equations(self, view: Any, goal: Any) -> tuple[Array, Array]:
+    def equations(self, view: Any, goal: Any) -> Equations:
         """The error (..., 6) and L (..., 6, 6); of many views by the pose: with exact pixels the
         homography gives the same.
         """
         return self.of_middle(*self._compared(view, goal), goal.middle)
 
-    def change(self, before: Observation, now: Observation, goal: Goal) -> tuple[Array, Array]:
+    def change(self, before: Observation, now: Observation, goal: Goal) -> Equations:
         """The law's equations with the last frame in place of the goal."""
         m0, R0 = self._compared(before, goal)
         m1, R1 = self._compared(now, goal)
@@ -110,7 +110,7 @@ class Hybrid(ErrorLaw):
         return (R @ o + T_camera_goal[..., :3, 3]) / o[2], R.mT
 
     @staticmethod
-    def of_middle(m: Array, R_goal_camera: Array, goal_middle: Array) -> tuple[Array, Array]:
+    def of_middle(m: Array, R_goal_camera: Array, goal_middle: Array) -> Equations:
         """The error (..., 6) and L (..., 6, 6).
         m: the markers' mean over Z*, (..., 3). R_goal_camera: (..., 3, 3). goal_middle: the mean at
         the goal (3,) [m].

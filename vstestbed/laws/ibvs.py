@@ -19,7 +19,7 @@ from vstestbed.features.base import Feature
 from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal
 from vstestbed.laws.base import Motions
-from vstestbed.laws.error_law import ErrorLaw
+from vstestbed.laws.error_law import Equations, ErrorLaw
 from vstestbed.laws.points import check_goal
 from vstestbed.laws.solve import Solve
 
@@ -165,7 +165,7 @@ class IBVS(ErrorLaw):
             return ()
         return self.projection.free(self.solve, J @ basis, e, x, basis)
 
-    def equations(self, view: Any, goal: Any) -> tuple[Array, Array]:
+    def equations(self, view: Any, goal: Any) -> Equations:
         """E = s - s* (..., rows), and L at the views that `interaction` names (..., rows, 6),
         (rows, 6) for `desired`.
         """

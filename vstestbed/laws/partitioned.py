@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from functools import cached_property
 from typing import Annotated, Any, Literal
 
@@ -17,7 +16,7 @@ from vstestbed.features import Point, Polygon
 from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal
 from vstestbed.features.polygon import angle_error, segments, size, size_error, spans_area
-from vstestbed.laws.error_law import ErrorLaw
+from vstestbed.laws.error_law import Equations, ErrorLaw
 from vstestbed.laws.points import NO_AREA, check_goal, moved_markers, points
 from vstestbed.laws.solve import least_squares, units_of
 
@@ -37,7 +36,7 @@ class Partitioned(ErrorLaw):
     motions by the points.
 
     v_z = -gain_z e_sigma,  w_z = gain_turn e_angle,
-    (v_x, v_y) = gain_xy Z e_middle                     those of them in `axes`
+    v_x, v_y = gain_xy Z e_middle                     those of them in `axes`
     v_rest = pinv(L_rest) (-lambda e - L_axes v_axes)   the others
 
     With `feedforward` the features are those of the markers where they are predicted.
@@ -92,18 +91,15 @@ class Partitioned(ErrorLaw):
     sigma: Literal["difference", "ratio", "log"] = "ratio"
     turn_limits_deg: Annotated[tuple[Angle, ...], Len(2, 2)] | None = None
     depth: Depth = PnP()
-    extra_size = (
-        1  # the remaining rotation about the optical axis at the last frame [rad], not wrapped
-    )
+    # the remaining rotation about the optical axis at the last frame [rad], not wrapped
+    extra_size = 1
 
     def __post_init__(self) -> None:
         """Refuse bounds that exclude the start, and an axis named twice."""
         if len(set(self.axes)) < len(self.axes):
             raise ParameterError.twice("axes", "a motion", list(self.axes))
-        if (
-            self.turn_limits_deg is not None
-            and not self.turn_limits_deg[0] <= 0 <= self.turn_limits_deg[1]
-        ):
+        low, high = self.turn_limits_deg or (0.0, 0.0)
+        if not low <= 0 <= high:
             raise ParameterError.form(
                 "turn_limits_deg", "[low, high] with low <= 0 <= high", self.turn_limits_deg
             )
@@ -141,7 +137,7 @@ class Partitioned(ErrorLaw):
             raise ParameterError("law.kind", words)
         return 3
 
-    def equations(self, view: Any, goal: Any) -> tuple[Array, Array]:
+    def equations(self, view: Any, goal: Any) -> Equations:
         """Those of all points, which `motion` divides: the error (..., 2N) and L (..., 2N, 6)."""
         e = _POINT.error(_POINT.measure(view.xy), _POINT.measure(goal.xy))
         return e, _POINT.interaction(view.xy, view.depth)
@@ -149,7 +145,7 @@ class Partitioned(ErrorLaw):
     def motion(
         self,
         extra: Array,
-        equations: tuple[Array, Array],
+        equations: Equations,
         view: Any,
         goal: Goal,
         basis: Array | None,
@@ -184,7 +180,7 @@ class Partitioned(ErrorLaw):
         return turn[..., None], least_squares(basis, twist), None
 
     def _twist(
-        self, equations: tuple[Array, Array], view: Any, goal: Goal, too_large: Array, turn: Array
+        self, equations: Equations, view: Any, goal: Goal, too_large: Array, turn: Array
     ) -> Array:
         """Camera twists (..., 6) for given errors of size and angle (...); equations: e (..., 2N)
         and L (..., 2N, 6) of the points.
@@ -228,15 +224,13 @@ class Partitioned(ErrorLaw):
         """
         ways = np.asarray(angle)[..., None] + _ROUND
         first = np.isnan(last)
-        if not first.any():
-            # near a half turn the wrapped angle would change its sign
-            cost = np.abs(ways - last[..., None])
-        elif self.turn_limits_deg is None:
-            cost = np.abs(ways - np.where(first, angle, last)[..., None])
-        else:
-            low, high = (math.radians(limit) for limit in self.turn_limits_deg)
+        # At first the shortest; then the one nearest to the last, since near a half turn the
+        # wrapped angle would change its sign.
+        cost = np.abs(ways - np.where(first, angle, last)[..., None])
+        if self.turn_limits_deg is not None and first.any():
+            low, high = np.radians(self.turn_limits_deg)
             beyond = np.maximum(np.maximum(low - ways, ways - high), 0.0)
             # Of those that exceed the bounds the least, the shortest.
             at_first = np.abs(ways) + 1e3 * beyond
-            cost = np.where(first[..., None], at_first, np.abs(ways - last[..., None]))
+            cost = np.where(first[..., None], at_first, cost)
         return np.take_along_axis(ways, np.argmin(cost, axis=-1, keepdims=True), axis=-1)[..., 0]

@@ -6,12 +6,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from vstestbed.core.geometry import Array, inverse, log
+from vstestbed.core.geometry import inverse, log
 from vstestbed.core.spec import spec
 from vstestbed.features import ThetaU
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.features.pose import translation_interaction
-from vstestbed.laws.error_law import ErrorLaw
+from vstestbed.laws.error_law import Equations, ErrorLaw
 
 _THETA_U = ThetaU()
 
@@ -51,7 +51,7 @@ class PBVS(ErrorLaw):
     translation: Literal["cdMc", "cMcd", "cMo"] = "cdMc"
     inputs = ("T_camera_target",)
 
-    def equations(self, view: Any, goal: Any) -> tuple[Array, Array]:
+    def equations(self, view: Any, goal: Any) -> Equations:
         """The error (..., 6) and L (..., 6, 6) by the poses of the target in the camera frame and
         in the goal frame.
         """
@@ -69,7 +69,7 @@ class PBVS(ErrorLaw):
         rows = translation_interaction(pose, self.translation), _THETA_U.interaction_at(turn)
         return e, np.concatenate(rows, axis=-2)
 
-    def change(self, before: Observation, now: Observation, goal: Goal) -> tuple[Array, Array]:
+    def change(self, before: Observation, now: Observation, goal: Goal) -> Equations:
         """Change of the pose since the last frame, as a displacement of the camera relative to the
         target (6,); here L = I.
         """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Any, Literal
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Perspective
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import Array, homogeneous
 from vstestbed.core.lazy import cv2
 from vstestbed.core.quantity import GainOrZero, Pixels, TighterBounds, Time
 from vstestbed.core.registry import kind_of
@@ -141,7 +142,8 @@ class GoalLevel:
     `stride`-th in both directions.
 
     Attributes:
-        grey: the goal's picture at this level. at: slices (rows, columns) of those pixels in it.
+        grey: the goal's picture at this level.
+        at: slices (rows, columns) of the pixels in it that enter the error.
         x, y: their normalised coordinates (h, w).
         slope: du/dx, du/dy, dv/dx, dv/dy of the lens, in pixels of the level, numbers or (h, w).
         inverse_depth: 1/Z of the pixels in the goal view (h, w) [1/m]; 0 where the depth is not
@@ -171,12 +173,16 @@ class GoalLevel:
         [px of the full picture].
         """
         scale = 2**level
-        edge = max(len(DIFFERENCE) // 2, -(-margin_px // scale))
-        h, w = (-(-n // scale) for n in (camera.height, camera.width))
-        at = slice(edge, h - edge, stride), slice(edge, w - edge, stride)
-        v, u = np.meshgrid(np.arange(h)[at[0]] * scale, np.arange(w)[at[1]] * scale, indexing="ij")
-        xy = camera.normalise(np.stack([u, v], axis=-1).astype(float))
-        x, y = (np.ascontiguousarray(xy[..., i], np.float32) for i in (0, 1))
+        edge = max(len(DIFFERENCE) // 2, math.ceil(margin_px / scale))
+        height = math.ceil(camera.height / scale)
+        width = math.ceil(camera.width / scale)
+        at = slice(edge, height - edge, stride), slice(edge, width - edge, stride)
+        v = np.arange(height)[at[0]] * scale
+        u = np.arange(width)[at[1]] * scale
+        uv = np.stack(np.meshgrid(u, v), axis=-1).astype(float)
+        xy = camera.normalise(uv)
+        x = np.ascontiguousarray(xy[..., 0], np.float32)
+        y = np.ascontiguousarray(xy[..., 1], np.float32)
         return cls(grey, at, x, y, _slope(camera, xy, scale), np.zeros_like(x), light)
 
     def normalised(self, along: tuple[Grey, Grey]) -> tuple[Grey, Grey]:
@@ -342,12 +348,11 @@ def _slope(camera: Perspective, xy: Array, scale: int) -> tuple[Grey | float, ..
     step = 0.5 / camera.f
     found = []
     for axis in np.eye(2) * step:
-        ahead, behind = (
-            camera.project(np.concatenate([xy + s * axis, np.ones((*xy.shape[:2], 1))], axis=-1))
-            for s in (1, -1)
-        )
-        found.append((ahead - behind) / (2 * step * scale))
-    along_x, along_y = (np.ascontiguousarray(d, np.float32) for d in found)
+        ahead = camera.project(homogeneous(xy + axis))
+        behind = camera.project(homogeneous(xy - axis))
+        slope = (ahead - behind) / (2 * step * scale)
+        found.append(np.ascontiguousarray(slope, np.float32))
+    along_x, along_y = found
     return along_x[..., 0], along_y[..., 0], along_x[..., 1], along_y[..., 1]
 
 
@@ -396,8 +401,9 @@ class PhotometricState:
     Attributes:
         pyramid: the goal's picture, from the finest level to the coarsest; None before the first
             picture.
-        level: number of the current level. t0: time of the first picture [s]. goal: whose pyramid
-            it is.
+        level: number of the current level.
+        t0: time of the first picture [s].
+        goal: whose pyramid it is.
     """
 
     pyramid: tuple[GoalLevel, ...] | None = None

@@ -45,21 +45,16 @@ def observed(
     +-MOST_PX. Of further `cameras`, `markers_NAME` and `seen_NAME` likewise, 0 for one whose last
     picture is missing or old.
     """
-    views = seen.cameras or {}
-    others = {
-        name: views[name].seen.uv if name in views else np.full_like(seen.uv, np.nan)
-        for name in cameras or views
-    }
     found = {
         "markers": _pixels(seen.uv),
         "seen": seen.seen.astype(np.float32),
         "goal": _pixels(goal.uv),
     }
-    for name, uv in others.items():
-        found |= {
-            f"markers_{name}": _pixels(uv),
-            f"seen_{name}": np.isfinite(uv[:, 0]).astype(np.float32),
-        }
+    views = seen.cameras or {}
+    for name in cameras or views:
+        uv = views[name].seen.uv if name in views else np.full_like(seen.uv, np.nan)
+        found[f"markers_{name}"] = _pixels(uv)
+        found[f"seen_{name}"] = np.isfinite(uv[:, 0]).astype(np.float32)
     if seen.proprioception is not None:
         found["agent_pos"] = np.array(seen.proprioception, dtype=np.float32)
     return found
@@ -86,6 +81,7 @@ def action_unit(limits: TwistLimits, basis: Array) -> Array:
 
 # from what a policy sees to an action (n,) in [-1, 1]; None where it has none
 Act = Callable[[Mapping[str, NDArray[Any]]], Any]
+Side = Annotated[int, Ge(1), Le(4096)]  # of a picture [px]
 ONNX_KINDS: dict[str, Any] = {
     "tensor(float)": np.float32,
     "tensor(double)": np.float64,
@@ -128,9 +124,7 @@ class Policy(Law[Act]):
 
     kind: Literal["policy"] = "policy"
     file: str
-    picture_px: tuple[Annotated[int, Ge(1), Le(4096)], Annotated[int, Ge(1), Le(4096)]] | None = (
-        None
-    )
+    picture_px: tuple[Side, Side] | None = None
     agent_pos: bool = False
     depth: Depth = AtGoal()
     limits: TwistLimits = TwistLimits()

@@ -229,12 +229,8 @@ class PoseController(Law[PoseState]):
         if state[1] or rho < self.rest_m or (rho < self.pass_m and abs(alpha) > np.pi / 2):
             return (direction, True, None), 0.0, 0.0
         gains = (self.k_rho, self.k_alpha, self.k_beta)
-        v, w = (
-            float(x)
-            for x in polar_law(
-                place, there, np.array(direction), gains, self.speed_mps, self.rest_m
-            )
-        )
+        ordered = polar_law(place, there, np.array(direction), gains, self.speed_mps, self.rest_m)
+        v, w = map(float, ordered)
         if rho >= self.average_m:
             return (direction, False, None), v, w
         curvature = w / v

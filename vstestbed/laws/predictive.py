@@ -15,7 +15,7 @@ from annotated_types import Ge, Le
 from numpy.typing import NDArray
 
 from vstestbed.camera.base import pixel_interaction
-from vstestbed.core.geometry import Array, adjoint, exp, inverse, skew, transform
+from vstestbed.core.geometry import Array, adjoint, exp, homogeneous, inverse, skew, transform
 from vstestbed.core.quantity import Pixels, PositiveGain, PositiveTime
 from vstestbed.core.spec import spec
 from vstestbed.features import FEATURES, Point
@@ -49,12 +49,13 @@ class Predicted:
     frame's command takes effect.
 
     Attributes:
-        p_begin: the markers in the camera frame at the beginning (N, 3) [m]. p: at the ends (K, N,
-            3).
+        p_begin: the markers in the camera frame at the beginning (N, 3) [m].
+        p: the same at the ends (K, N, 3).
         D: change of the camera's pose, as a twist (v, w) in the camera's own frame, with the plan:
             (K, 6, B n).
-        q: positions (K, n). Q: their change with the plan (K, n, B n). J: the Jacobian during each
-            period (K, 6, n).
+        q: positions (K, n).
+        Q: their change with the plan (K, n, B n).
+        J: the Jacobian during each period (K, 6, n).
     """
 
     p_begin: Array
@@ -105,17 +106,16 @@ def lagged(block: NDArray[np.intp], plan: Array, before: Array, lag: float) -> t
     """
     decay = math.exp(-1 / lag) if lag > 0 else 0.0
     kept = lag * (1 - decay)
+    order = np.eye(len(plan))  # of each block, its change with the blocks' orders
     r = before
-    R = np.zeros(len(plan))
+    r_change = np.zeros(len(plan))
     means = []
     changes = []
     for b in block:
         means.append((1 - kept) * plan[b] + kept * r)
-        changes.append(kept * R)
-        changes[-1][b] += 1 - kept
+        changes.append((1 - kept) * order[b] + kept * r_change)
         r = (1 - decay) * plan[b] + decay * r
-        R = decay * R
-        R[b] += 1 - decay
+        r_change = (1 - decay) * order[b] + decay * r_change
     return np.array(means), np.array(changes)
 
 
@@ -140,31 +140,30 @@ def predict(
     """
     n = len(robot.names)
     period = robot.period_s
-    mean, change = lagged(block, plan, robot.ordered, robot.lag_s / period)
-    steps = len(mean)
-    size = plan.size
-    p = transform(exp(-(robot.way + target * robot.underway_s)), p)
-    q = robot.q_then
-    D = np.zeros((6, size))
-    Q = np.zeros((n, size))
-    p_begin = p
-    found = []
-    each = change[:, :, None, None] * np.eye(n)  # (K, B, n, n)
-    each = each.transpose(0, 2, 1, 3).reshape(steps, n, size) * period
+    mean, mean_change = lagged(block, plan, robot.ordered, robot.lag_s / period)
     way = mean * period
-    for k in range(steps):
+    # of the way in each period with the plan (K, n, B n): alike for each velocity
+    way_change = np.kron(mean_change, np.eye(n)).reshape(-1, n, plan.size) * period
+    p_begin = transform(exp(-(robot.way + target * robot.underway_s)), p)
+    p = p_begin
+    q = robot.q_then
+    D = np.zeros((6, plan.size))
+    Q = np.zeros((n, plan.size))
+    found = []
+    for step, step_change in zip(way, way_change, strict=True):
         J = robot.jacobian(q) if relinearise else robot.J
-        twist = J @ way[k] + target * period
+        twist = J @ step + target * period
         back = exp(-twist)
-        change = J @ each[k]
+        change = J @ step_change
         V = skew(twist[:3])
         W = skew(twist[3:])
-        D = adjoint(back) @ D + change - np.block([[W, V], [np.zeros((3, 3)), W]]) @ change / 2
+        bracket = np.block([[W, V], [np.zeros((3, 3)), W]])
+        D = adjoint(back) @ D + change - bracket @ change / 2
         p = transform(back, p)
-        q = q + way[k]
-        Q = Q + each[k]
+        q = q + step
+        Q = Q + step_change
         found.append((p, D, q, Q, J))
-    return Predicted(p_begin, *(np.stack(values) for values in zip(*found, strict=True)))
+    return Predicted(p_begin, *map(np.stack, zip(*found, strict=True)))
 
 
 GIVE_WAY = ("border", "positions", "twist", "shared", "acceleration")
@@ -437,7 +436,7 @@ class Predictive(Law[PlanState]):
         above = q - (robot.high - self.joint_margin)[limited]
         A = np.concatenate([Q, -Q]).reshape(-1, len(u))
         low = np.concatenate([below, above]).ravel()
-        return Group("positions", A[known := np.isfinite(low)], low[known])
+        return Group.finite("positions", A, low)
 
     def _slopes(self, robot: OwnModel) -> Group:
         """Accelerations from block to block."""
@@ -466,10 +465,7 @@ class Predictive(Law[PlanState]):
         radius = 0.0 if seen.radius_px is None else np.tile(seen.radius_px[rows], K)[:, None]
         h = (distance - radius - (self.margin_px or 0.0)).reshape(K, -1)
         change = np.einsum("mbk,mki->mbi", inwards, L).reshape(K, -1, 6) @ ahead.D
-        A = change.reshape(-1, len(u))
-        low = (change @ u - h).ravel()
-        known = np.isfinite(low)
-        return Group("border", A[known], low[known])
+        return Group.finite("border", change.reshape(-1, len(u)), (change @ u - h).ravel())
 
 
 def _in_front(p: Array, feature: Feature, goal: Goal) -> bool:
@@ -483,7 +479,6 @@ def _inputs(p: Array, names: tuple[str, ...]) -> tuple[Array, Array]:
     if names[0] == "xy":
         return p[..., :2] / p[..., 2:], p[..., 2]
     if names[0] == "xyw":
-        xyw = np.concatenate([p[..., :2], np.ones_like(p[..., 2:])], axis=-1)
-        return xyw / p[..., 2:], p[..., 2]
+        return homogeneous(p[..., :2]) / p[..., 2:], p[..., 2]
     reach = np.linalg.norm(p, axis=-1)
     return p / reach[..., None], reach

@@ -23,9 +23,11 @@ class PursuitState:
     """State at the last frame in which the target was visible.
 
     Attributes:
-        t: time of exposure [s]. gap: distance of the target [m]. odometry: (x, y, heading) by the
-            encoders (3,) [m, rad].
-        u: the command (n,). speed: filtered speed of the target along the line of sight [m/s].
+        t: time of exposure [s].
+        gap: distance of the target [m].
+        odometry: (x, y, heading) by the encoders (3,) [m, rad].
+        u: the command (n,).
+        speed: filtered speed of the target along the line of sight [m/s].
     """
 
     t: float = math.nan

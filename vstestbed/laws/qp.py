@@ -51,6 +51,7 @@ from vstestbed.robots.own_model import OwnModel
 Weight = Annotated[float, Gt(0), Le(1e3)]
 Priority = Literal["weighted", "strict"]
 STEP = 1e-5  # step of finite differences of the manipulability [rad, m]
+Wanted = tuple[Array, Array]  # A (m, n) and b (m,) of the wanted A x = b
 
 
 @spec
@@ -73,7 +74,7 @@ class PosturePull:
     priority: Priority = "strict"
     inputs = ()
 
-    def rows(self, seen: Observation, goal: Goal, robot: OwnModel) -> tuple[Array, Array]:
+    def rows(self, seen: Observation, goal: Goal, robot: OwnModel) -> Wanted:
         """A (n, n) and b (n,) of the wanted A x = b."""
         wanted = robot.nominal if self.q_deg is None else robot.positions(self.q_deg)
         return np.eye(len(robot.names)), self.gain * (wanted - robot.q)
@@ -94,7 +95,7 @@ class StraightPath:
     priority: Priority = "weighted"
     inputs = ("T_camera_target",)
 
-    def rows(self, seen: Observation, goal: Goal, robot: OwnModel) -> tuple[Array, Array]:
+    def rows(self, seen: Observation, goal: Goal, robot: OwnModel) -> Wanted:
         """A (3, n) and b (3,) of the wanted A x = b; no rows without a pose, or at the goal."""
         T = seen.T_camera_target
         t = np.zeros(3) if T is None else (T @ inverse(goal.T_camera_target))[:3, 3]
@@ -124,15 +125,18 @@ class Manipulability:
     priority: Priority = "strict"
     inputs = ()
 
-    def rows(self, seen: Observation, goal: Goal, robot: OwnModel) -> tuple[Array, Array]:
+    def rows(self, seen: Observation, goal: Goal, robot: OwnModel) -> Wanted:
         """A (n, n) and b (n,) of the wanted A x = b."""
         n = len(robot.names)
-        steps = STEP * np.eye(n)
-        ahead = np.array([manipulability(robot.jacobian(robot.q + d)) for d in steps])
-        behind = np.array([manipulability(robot.jacobian(robot.q - d)) for d in steps])
-        gradient = (ahead - behind) / (2 * STEP)
+        gradient = np.zeros(n)
+        for i, d in enumerate(STEP * np.eye(n)):
+            ahead = manipulability(robot.jacobian(robot.q + d))
+            behind = manipulability(robot.jacobian(robot.q - d))
+            gradient[i] = (ahead - behind) / (2 * STEP)
         size = float(np.linalg.norm(gradient))
-        return np.eye(n), self.gain * gradient / size if size > 1e-9 else np.zeros(n)
+        if size <= 1e-9:
+            return np.eye(n), np.zeros(n)
+        return np.eye(n), self.gain * gradient / size
 
 
 SECONDARY = Registry("secondary", PosturePull, StraightPath, Manipulability)
@@ -144,18 +148,15 @@ def manipulability(J: Array) -> float:
     return float(np.prod(np.linalg.svd(J, compute_uv=False)))
 
 
-Equations = list[tuple[Array, Array]]  # of the wanted A x = b, each A (m, n) and b (m,)
-
-
 def rows_of(
     tasks: tuple[Secondary, ...],
     priority: Priority,
     seen: Observation,
     goal: Goal,
     robot: OwnModel,
-) -> Equations:
+) -> list[Wanted]:
     """The rows of the tasks of a priority, times the roots of their weights."""
-    parts: Equations = []
+    parts = list[Wanted]()
     for task in tasks:
         if task.priority == priority:
             rows, wanted = task.rows(seen, goal, robot)
@@ -163,14 +164,14 @@ def rows_of(
     return parts
 
 
-def _stacked(parts: Equations) -> tuple[Array, Array]:
+def _stacked(parts: list[Wanted]) -> Wanted:
     return np.vstack([A for A, _ in parts]), np.concatenate([b for _, b in parts])
 
 
 def among_solutions(
     solution: Solution,
     main: Array,
-    strict: Equations,
+    strict: list[Wanted],
     low: Array,
     high: Array,
     groups: tuple[Group, ...],
@@ -195,9 +196,10 @@ def among_solutions(
     # wrong side.
     room = np.minimum(np.concatenate([low - x, x - high]), 0.0)
     bounds = Group("bounds", np.vstack([N, -N]), room)
-    inside = tuple(
-        Group(group.word, group.A @ N, np.minimum(group.low - group.A @ x, 0.0)) for group in groups
-    )
+    inside = []
+    for group in groups:
+        low_z = np.minimum(group.low - group.A @ x, 0.0)
+        inside.append(Group(group.word, group.A @ N, low_z))
     endless = np.full(N.shape[1], np.inf)
     found = minimise(A @ N, b - A @ x, -endless, endless, (*inside, bounds))
     if found.x is None:
@@ -390,27 +392,30 @@ class QP(Law[ErrorState]):
         if self.least_singular_value > 0:
             barriers.append(off_singularities(robot, self.least_singular_value, self.barrier_gain))
         if self.margin_px is not None:
-            barriers.append(
-                border(seen, goal, robot, self.margin_px, self.barrier_gain, np.zeros(6))
-            )
+            barriers.append(border(seen, goal, robot, self.margin_px, self.barrier_gain))
         if self.plane_m is not None:
             barriers.append(above_plane(seen, goal, robot, self.plane_m, self.barrier_gain))
         twist = twist_limits(self.limits.speed_mps, self.limits.rate_radps, robot.J)
         groups = (*barriers, twist, shared_limits(robot, float(robot.J[:, 0] @ wanted)))
-        n = len(robot.names)
-        W = np.eye(6)
-        feature = self.law.feature
-        if feature is not None and not isinstance(
-            rows := usable_rows(seen, feature.inputs, 1), str
-        ):
-            W = feature.interaction(*(getattr(seen, name)[rows] for name in feature.inputs))
+        W = self._weights(seen)
         main = W @ robot.J
         parts = [(main, W @ wanted), *rows_of(self.secondary, "weighted", seen, goal, robot)]
-        # as that of `resolved_rate`, by the weight of a twist
-        if n >= 6 and (damping2 := singularity_damping2(robot.J, robot.unit_m)) > 0:
+        n = len(robot.names)
+        damping2 = singularity_damping2(robot.J, robot.unit_m) if n >= 6 else 0.0
+        if damping2 > 0:  # as that of `resolved_rate`, by the weight of a twist
             damping = np.sqrt(damping2 * (np.einsum("ij,ij->", W, W) / 6))
             parts.append((damping * np.eye(n), np.zeros(n)))
         solution = minimise(*_stacked(parts), low, high, groups, units_of(goal, robot.J))
         strict = rows_of(self.secondary, "strict", seen, goal, robot)
         solution = among_solutions(solution, main, strict, low, high, groups)
         return solution.and_accelerations(too_quick)
+
+    def _weights(self, seen: Observation) -> Array:
+        """W: the interaction matrix of the law's feature; I where it has none, or sees nothing."""
+        feature = self.law.feature
+        if feature is None:
+            return np.eye(6)
+        rows = usable_rows(seen, feature.inputs, 1)
+        if isinstance(rows, str):
+            return np.eye(6)
+        return feature.interaction(*(getattr(seen, name)[rows] for name in feature.inputs))

@@ -77,8 +77,9 @@ class SwitchCondition:
     def limits(self) -> tuple[tuple[str, int, float], ...]:
         """Of each condition the quantity, 1 for `over` or -1 for `under`, and the limit."""
         found = []
-        for name, limit in ((f.name, getattr(self, f.name)) for f in fields(self)):
-            quantity, side, _ = name.rsplit("_", 2)  # as in `joint_margin_under_deg`
+        for field in fields(self):
+            quantity, side, _ = field.name.rsplit("_", 2)  # as in `joint_margin_under_deg`
+            limit = getattr(self, field.name)
             if limit is not None:
                 found.append((quantity, 1 if side == "over" else -1, limit))
         return tuple(found)
@@ -115,6 +116,19 @@ def _T_goal_camera(observation: Observation, goal: Goal) -> Array:
     return np.full((4, 4), np.nan) if T is None else goal.T_camera_target @ inverse(T)
 
 
+def _position_m(observation: Observation, goal: Goal, start_m: float) -> float:
+    return float(np.linalg.norm(_T_goal_camera(observation, goal)[:3, 3]))
+
+
+def _rotation_deg(observation: Observation, goal: Goal, start_m: float) -> float:
+    return math.degrees(float(rotation_angle(_T_goal_camera(observation, goal)[:3, :3])))
+
+
+def _retreat_m(observation: Observation, goal: Goal, start_m: float) -> float:
+    at_goal = float(np.linalg.norm(goal.T_camera_target[:3, 3]))
+    return target_distance(observation) - max(start_m, at_goal)
+
+
 def _border_px(observation: Observation, goal: Goal, start_m: float) -> float:
     seen = observation.seen
     if not (seen if goal.counted is None else seen[goal.counted]).all():
@@ -134,22 +148,9 @@ def _joint_margin_deg(observation: Observation, goal: Goal, start_m: float) -> f
 
 QUANTITIES: dict[str, tuple[Callable[[Observation, Goal, float], float], tuple[str, ...]]] = {
     "error": (_error_px, ()),
-    "position": (
-        lambda seen, goal, start_m: float(np.linalg.norm(_T_goal_camera(seen, goal)[:3, 3])),
-        ("T_camera_target",),
-    ),
-    "rotation": (
-        lambda seen, goal, start_m: math.degrees(
-            float(rotation_angle(_T_goal_camera(seen, goal)[:3, :3]))
-        ),
-        ("T_camera_target",),
-    ),
-    "retreat": (
-        lambda seen, goal, start_m: (
-            target_distance(seen) - max(start_m, float(np.linalg.norm(goal.T_camera_target[:3, 3])))
-        ),
-        ("T_camera_target",),
-    ),
+    "position": (_position_m, ("T_camera_target",)),
+    "rotation": (_rotation_deg, ("T_camera_target",)),
+    "retreat": (_retreat_m, ("T_camera_target",)),
     "border": (_border_px, ("radius_px",)),
     "joint_margin": (_joint_margin_deg, ("robot",)),
 }
@@ -196,13 +197,14 @@ class SwitchedState:
     """What `switched` keeps from one frame to the next.
 
     Attributes:
-        inner: state of the active law. active: its number. since: when it took over [s]; NaN before
-            the first frame.
+        inner: state of the active law.
+        active: its number.
+        since: when it took over [s]; NaN before the first frame.
         barred: of each law, whether its conditions keep it from working.
         start_m: distance of the camera from the target at the start [m]; NaN where it is unknown,
             or not needed.
-        last: time [s] and command of the last frame. left: the same of the last frame before the
-            switch.
+        last: time [s] and command of the last frame.
+        left: the same of the last frame before the switch.
     """
 
     inner: Any
@@ -283,50 +285,54 @@ class Switched(Law[SwitchedState]):
                     " without one no law after it in the list ever works"
                 )
                 raise ParameterError(f"laws.{i}.until", words)
-        depths = [(i, part.law.depth) for i, part in enumerate(self.laws) if _reads_depth(part.law)]
-        for i, depth in depths[1:]:
-            if depth != depths[0][1]:
+        readers = [i for i, law in enumerate(self._each) if _reads_depth(law)]
+        for i in readers[1:]:
+            first = self._each[readers[0]].depth
+            depth = self._each[i].depth
+            if depth != first:
                 words = (
-                    f"must be the same as that of laws.{depths[0][0]} ({depths[0][1].kind}):"
+                    f"must be the same as that of laws.{readers[0]} ({first.kind}):"
                     " a frame has one source of depth"
                 )
                 raise ParameterError(f"laws.{i}.law.depth", words, depth.kind)
 
     @property
+    def _each(self) -> tuple[Law[Any], ...]:
+        return tuple(part.law for part in self.laws)
+
+    @property
     def tasks(self) -> tuple[str, ...]:
         """The goals that all laws take."""
-        return tuple(
-            task
-            for task in self.laws[0].law.tasks
-            if all(task in part.law.tasks for part in self.laws)
-        )
+        first, *others = self._each
+        return tuple(task for task in first.tasks if all(task in law.tasks for law in others))
 
     @property
     def inputs(self) -> tuple[str, ...]:
         """What any of the laws and of the conditions reads."""
-        read = [name for part in self.laws for name in inputs_of(part.law)]
-        compared = [name for quantity in self._quantities for name in QUANTITIES[quantity][1]]
-        return tuple(dict.fromkeys((*read, *compared)))
+        read = list[str]()
+        for law in self._each:
+            read += inputs_of(law)
+        for quantity in self._quantities:
+            read += QUANTITIES[quantity][1]
+        return tuple(dict.fromkeys(read))
 
     @property
     def depth(self) -> Depth:
         """The source of depth of the laws that read it."""
-        return next(
-            (part.law.depth for part in self.laws if _reads_depth(part.law)), self.laws[0].law.depth
-        )
+        readers = [law for law in self._each if _reads_depth(law)]
+        return (readers or self._each)[0].depth
 
     @property
     def feature(self) -> Feature | None:
         """The feature of all laws that have one; None where they differ."""
-        found = [part.law.feature for part in self.laws if part.law.feature is not None]
+        found = [law.feature for law in self._each if law.feature is not None]
         return found[0] if found and all(feature == found[0] for feature in found) else None
 
     @cached_property
     def limits(self) -> TwistLimits:
         """The loosest of the laws' limits; each law keeps its own."""
-        limits = [part.law.limits for part in self.laws]
-        speeds = [each.speed_mps for each in limits]
-        rates = [each.rate_radps for each in limits]
+        speeds = [law.limits.speed_mps for law in self._each]
+        rates = [law.limits.rate_radps for law in self._each]
         return TwistLimits(
             speed_mps=None if None in speeds else max(speeds),
             rate_radps=None if None in rates else max(rates),
@@ -335,12 +341,12 @@ class Switched(Law[SwitchedState]):
     @property
     def visibility(self) -> Visibility:
         """The field with the largest margin: it keeps the goal from the border for all."""
-        return max((part.law.visibility for part in self.laws), key=lambda field: field.margin_px)
+        return max((law.visibility for law in self._each), key=lambda field: field.margin_px)
 
     @property
     def feedforward(self) -> Feedforward:
         """That of the first law that has one, else none."""
-        found = [part.law.feedforward for part in self.laws]
+        found = [law.feedforward for law in self._each]
         return next((feedforward for feedforward in found if feedforward.kind != "none"), found[0])
 
     @cached_property
@@ -348,21 +354,23 @@ class Switched(Law[SwitchedState]):
         """The laws' words, numbered where a word is there twice; of a law with modes of its own
         each of them behind its word.
         """
-        kinds = [part.law.kind for part in self.laws]
+        kinds = [law.kind for law in self._each]
         words = list[str]()
-        for i, (kind, part) in enumerate(zip(kinds, self.laws, strict=True)):
-            word = f"{kind} {kinds[: i + 1].count(kind)}" if kinds.count(kind) > 1 else kind
-            words += [f"{word} {mode}" for mode in part.law.modes] or [word]
+        for i, law in enumerate(self._each):
+            word = law.kind
+            if kinds.count(word) > 1:
+                word = f"{word} {kinds[: i + 1].count(word)}"
+            words += [f"{word} {mode}" for mode in law.modes] or [word]
         return tuple(words)
 
     @property
     def needs_same_markers(self) -> bool:
         """Whether one of the laws does."""
-        return any(part.law.needs_same_markers for part in self.laws)
+        return any(law.needs_same_markers for law in self._each)
 
     def markers_needed(self, basis: Array) -> int:
         """As many as the law that needs the most."""
-        return max(part.law.markers_needed(basis) for part in self.laws)
+        return max(law.markers_needed(basis) for law in self._each)
 
     def check(self, points: Array, goal: Goal) -> None:
         """Refuse what one of the laws refuses, and a border where the image has none."""
@@ -378,18 +386,18 @@ class Switched(Law[SwitchedState]):
                 )
 
     def init(self, goal: Goal) -> SwitchedState:
-        return SwitchedState(self.laws[0].law.init(goal), barred=(False,) * len(self.laws))
+        return SwitchedState(self._each[0].init(goal), barred=(False,) * len(self.laws))
 
     def prepare(self) -> None:
-        for part in self.laws:
-            part.law.prepare()
+        for law in self._each:
+            law.prepare()
 
     def step(
         self, state: SwitchedState, observation: Observation, goal: Goal, basis: Array
     ) -> tuple[SwitchedState, Command]:
         """One frame of the active law, which the conditions choose first."""
         state = self._chosen(state, observation, goal)
-        inner, command = self.laws[state.active].law.step(state.inner, observation, goal, basis)
+        inner, command = self._each[state.active].step(state.inner, observation, goal, basis)
         if state.left is not None and not command.rest_reason:
             t, last = state.left
             since = observation.t - t
@@ -397,7 +405,7 @@ class Switched(Law[SwitchedState]):
                 a = since / self.blend_s
                 u = a * command.u + (1 - a) * last.u
                 command = replace(command, u=u, twist=basis @ u, rates=None)
-        modes_before = sum(len(part.law.modes) or 1 for part in self.laws[: state.active])
+        modes_before = sum(len(law.modes) or 1 for law in self._each[: state.active])
         command = replace(command, mode=modes_before + command.mode)
         return replace(state, inner=inner, last=(observation.t, command)), command
 
@@ -421,7 +429,7 @@ class Switched(Law[SwitchedState]):
         # times are sums of floating-point numbers
         if wanted == state.active or not (first or t - state.since >= self.dwell_s - 1e-9):
             return state
-        inner = self.laws[wanted].law.init(goal)
+        inner = self._each[wanted].init(goal)
         return replace(state, inner=inner, active=wanted, since=t, left=state.last)
 
     def _wanted(self, active: int, barred: tuple[bool, ...]) -> int:

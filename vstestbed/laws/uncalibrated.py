@@ -94,8 +94,9 @@ class MotionSums(NamedTuple):
     squares.
 
     Attributes:
-        xx: sum of x x^T for each marker (N, m, m). yx: sum of y x^T, (N, 2, m). taken: x x^T of all
-            frames, seen or not (m, m).
+        xx: sum of x x^T for each marker (N, m, m).
+        yx: sum of y x^T, (N, 2, m).
+        taken: x x^T of all frames, seen or not (m, m).
     """
 
     xx: Array
@@ -151,15 +152,19 @@ class Excited:
     Attributes:
         uv: markers (N, 2) [px] at its start; with a target that moves, in the last picture.
         x: displacement since its start (m,), of the robot and, with a target that moves, of time.
-        samples: all that was measured. turn: of the velocity that moves, with time (2 columns),
-            where the target may move, too.
+        samples: all that was measured.
+        turn: what was measured of the velocity that moves, with time (2 columns), where the target
+            may move, too.
         known: motion of the markers per unit of each velocity (m,) [px], 0 where it is unknown.
-            units: of the velocities (m,).
-        uv_before, x_before: markers and displacement of the velocity that moves when its turn
+        units: of the velocities (m,).
+        uv_before, x_before: markers, and displacement of the velocity that moves, when its turn
             began.
-        which: its number. leg: out, over or back. side: sign of the way out. speed: its magnitude.
-            pixels: motion of the markers per unit of it [px], 0 where it is not known yet.
-            elapsed_s: since the leg began.
+        which: number of the velocity that moves.
+        leg: out, over or back.
+        side: sign of the way out.
+        speed: magnitude of that velocity.
+        pixels: motion of the markers per unit of it [px], 0 where it is not known yet.
+        elapsed_s: since the leg began [s].
     """
 
     uv: Array
@@ -218,24 +223,8 @@ class Excitation:
             state, elapsed_s=state.elapsed_s + robot.since_s, pixels=self._pixels(state, uv, n)
         )
         while state.which < n and self._leg_ends(state, uv, robot):
-            if state.leg < BACK:
-                state = replace(state, leg=state.leg + 1, elapsed_s=0.0)
-            elif state.which + 1 == len(state.x):
-                state = replace(state, which=state.which + 1)  # all have moved
-            else:
-                i = state.which + 1
-                state = replace(
-                    state,
-                    which=i,
-                    leg=OUT,
-                    side=0.0,
-                    speed=state.speed / 4 * float(state.units[i] / state.units[i - 1]),
-                    pixels=float(state.known[i]),
-                    elapsed_s=0.0,
-                    uv_before=uv,
-                    x_before=float(state.x[i]),
-                )
-        if state.which == n:
+            state = _next_leg(state, uv)
+        if state.which == n:  # all have moved
             return state, None
         return self._ordered(state, robot)
 
@@ -299,6 +288,28 @@ class Excitation:
         return state, rates
 
 
+def _next_leg(state: Excited, uv: Array) -> Excited:
+    """The state with the next leg, or with the turn of the next velocity, for markers uv (N, 2)
+    [px].
+    """
+    if state.leg < BACK:
+        return replace(state, leg=state.leg + 1, elapsed_s=0.0)
+    i = state.which + 1
+    if i == len(state.x):
+        return replace(state, which=i)
+    return replace(
+        state,
+        which=i,
+        leg=OUT,
+        side=0.0,
+        speed=state.speed / 4 * float(state.units[i] / state.units[i - 1]),
+        pixels=float(state.known[i]),
+        elapsed_s=0.0,
+        uv_before=uv,
+        x_before=float(state.x[i]),
+    )
+
+
 def _ahead(state: Excited, robot: OwnModel) -> float:
     """Displacement of the velocity that moves, since its turn began, when this frame's command will
     take effect.
@@ -336,10 +347,10 @@ class ImageJacobian:
     Attributes:
         J: of each marker (N, 2, m), in pixels per pixel: the columns are divided by `scale`; NaN
             for markers not known.
-        P: of recursive least squares (N, m, m) [1/px^2]. scale: mean motion of the markers per unit
-            of each velocity (m,) [px].
-        uv: markers when the last correction was made (N, 2) [px]. x: displacement since then (m,),
-            times `scale` [px].
+        P: of recursive least squares (N, m, m) [1/px^2].
+        scale: mean motion of the markers per unit of each velocity (m,) [px].
+        uv: markers when the last correction was made (N, 2) [px].
+        x: displacement since then (m,), times `scale` [px].
     """
 
     J: Array
@@ -354,10 +365,13 @@ class UncalibratedState:
     """The excitation while it lasts, the estimate from then on.
 
     Attributes:
-        excited: None while the law servoes. estimate: None before the end of the first excitation.
-        least_px: least error since the last excitation. t: when it was found [s]. patience_s: how
-            long no progress is borne now.
-        excitations: how many there were. units: of the velocities (m,) (`units_of`).
+        excited: None while the law servoes.
+        estimate: None before the end of the first excitation.
+        least_px: least error since the last excitation.
+        t: when it was found [s].
+        patience_s: how long no progress is borne now [s].
+        excitations: how many there were.
+        units: of the velocities (m,) (`units_of`).
     """
 
     excited: Excited | None = None
@@ -467,7 +481,7 @@ class Uncalibrated(Law[UncalibratedState]):
         if np.count_nonzero(observation.seen) < self.markers_needed(basis):
             return self._blind(state, moved, robot, basis)
         if state.excited is None and state.estimate is None:
-            state = self._begun(state, uv, len(moved))
+            state = self._begun(state, uv)
         if state.excited is not None:
             excited, rates = self.excitation.step(state.excited, uv, moved, robot)
             if rates is not None:
@@ -492,14 +506,13 @@ class Uncalibrated(Law[UncalibratedState]):
             state = replace(state, estimate=replace(known, x=known.x + known.scale * moved))
         return state, Command.rest(basis, TOO_FEW)
 
-    def _begun(self, state: UncalibratedState, uv: Array, columns: int) -> UncalibratedState:
+    def _begun(self, state: UncalibratedState, uv: Array) -> UncalibratedState:
         """The state with an excitation before its first motion, for markers uv (N, 2) [px]."""
-        known = np.zeros(columns) if state.estimate is None else state.estimate.scale
-        samples = MotionSums.none(len(uv), columns)
+        still = np.zeros(len(state.units))
+        known = still if state.estimate is None else state.estimate.scale
+        samples = MotionSums.none(len(uv), len(still))
         turn = MotionSums.none(len(uv), 2)
-        excited = Excited(
-            uv, np.zeros(columns), samples, turn, known, state.units, uv, pixels=float(known[0])
-        )
+        excited = Excited(uv, still, samples, turn, known, state.units, uv, pixels=float(known[0]))
         return replace(state, excited=excited, excitations=state.excitations + 1)
 
     def _measured(self, excited: Excited, uv: Array) -> ImageJacobian:
@@ -574,8 +587,7 @@ class Uncalibrated(Law[UncalibratedState]):
             return replace(state, least_px=error_px, t=seen.t)
         if not state.patience_s or seen.t - state.t <= state.patience_s:
             return state
-        begun = self._begun(state, seen.uv, len(state.estimate.scale) if state.estimate else 0)
-        return replace(begun, patience_s=2 * state.patience_s)
+        return replace(self._begun(state, seen.uv), patience_s=2 * state.patience_s)
 
 
 def _mean(values: Array) -> float:

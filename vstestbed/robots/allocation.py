@@ -42,10 +42,10 @@ class Allocation:
         scale: factor in [0, 1] by which the whole command was scaled to stay within limits, or the
             share of it that is realised.
         limit: what makes `twist` another one than was commanded; "" where it is that one.
-            turned_rad: the angle between both as vectors of six numbers in m/s and rad/s, pi for
-            one against the command [rad].
         rates: the robot's own velocities (n,) that the setpoint orders (`OwnModel`); None: those of
             `twist`.
+        turned_rad: the angle between `twist` and the commanded one as vectors of six numbers in m/s
+            and rad/s, pi for one against the command [rad].
     """
 
     setpoint: Array
@@ -64,9 +64,9 @@ class Allocation:
         sizes = float(np.linalg.norm(self.twist) * np.linalg.norm(wanted))
         cosine = float(self.twist @ wanted) / sizes if sizes > 0 else 1.0
         turned = math.acos(max(-1.0, min(1.0, cosine)))
-        return replace(
-            self, limit=self.limit or "motion", turned_rad=turned if turned > ROUNDING else 0.0
-        )
+        if turned <= ROUNDING:
+            turned = 0.0
+        return replace(self, limit=self.limit or "motion", turned_rad=turned)
 
 
 def differs(made: Array, wanted: Array) -> bool:
@@ -157,18 +157,15 @@ class Actuation:
         The largest torque [Nm, N] is None without a limit. Empty where all servos are the file's
         own.
         """
-        made = [servo for servo in self.servos if servo.torque is not None]
-        if not made:
-            return {}
-        torques = {
-            s.joint: s.torque if s.torque is not None and np.isfinite(s.torque) else None
-            for s in made
-        }
-        return {
-            "servo_kp": {s.joint: s.kp for s in made},
-            "servo_kv": {s.joint: s.kv for s in made},
-            "servo_torque": torques,
-        }
+        kp: dict[str, float | None] = {}
+        kv: dict[str, float | None] = {}
+        most: dict[str, float | None] = {}
+        for servo in self.servos:
+            if servo.torque is not None:
+                kp[servo.joint] = servo.kp
+                kv[servo.joint] = servo.kv
+                most[servo.joint] = servo.torque if math.isfinite(servo.torque) else None
+        return {"servo_kp": kp, "servo_kv": kv, "servo_torque": most} if kp else {}
 
 
 class Order(NamedTuple):

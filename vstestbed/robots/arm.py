@@ -63,9 +63,8 @@ from vstestbed.robots.realism import Realistic
 
 __all__ = ["INNER", "Arm", "ArmStart", "Positions", "singularity_damping2", "unit_scale"]
 
-THRESHOLD = (
-    0.05  # smallest singular value that is left undamped, with lengths in the arm's own unit
-)
+# smallest singular value that is left undamped, with lengths in the arm's own unit
+THRESHOLD = 0.05
 
 
 def resolved_rate(J: Array, twist: Array, unit_m: float, threshold: float = THRESHOLD) -> Array:
@@ -95,13 +94,10 @@ def resolved_rate(J: Array, twist: Array, unit_m: float, threshold: float = THRE
     return Vt.T @ (s / (s**2 + damping2) * (U.T @ (twist * scale)))
 
 
-def singularity_damping2(J: Array, unit_m: float, threshold: float = THRESHOLD) -> float:
+def singularity_damping2(J: Array, unit_m: float) -> float:
     """The lambda^2 of `resolved_rate`: 0 away from singularities."""
-    return max(
-        0.0,
-        threshold**2
-        - float(np.linalg.svd(J * unit_scale(unit_m)[:, None], compute_uv=False)[-1]) ** 2,
-    )
+    s = np.linalg.svd(J * unit_scale(unit_m)[:, None], compute_uv=False)
+    return max(0.0, THRESHOLD**2 - float(s[-1]) ** 2)
 
 
 @functools.cache
@@ -288,11 +284,8 @@ class Arm(Realistic):
     chain: ClassVar[JointChain]  # its joints in plain numbers
     joint_speeds: ClassVar[Array]  # largest speed of each joint, (n,) [rad/s, m/s]
     servo_set: ClassVar[Actuation]  # its servos, without an error of their gravity compensation
-    lag_s: ClassVar[float] = (
-        # by the velocity gain of its servos over the inertia: 112 / s for the Puma and for added
-        # servos
-        0.009
-    )
+    # by the velocity gain of its servos over the inertia: 112 / s for the Puma and for added servos
+    lag_s: ClassVar[float] = 0.009
 
     @property
     def unit_m(self) -> float:
@@ -347,8 +340,10 @@ class Arm(Realistic):
         # Beyond a limit MuJoCo's constraint would push the joint back before the first command.
         for i, (q, (low, high)) in enumerate(zip(self.configuration(), chain.limits, strict=True)):
             if not low <= q <= high:
-                size, unit = (1.0, "m") if chain.slides[i] else (float(np.degrees(1.0)), "deg")
-                words = f"{names[i]}'s range, {low * size:g} to {high * size:g} {unit}"
+                words = f"{low:g} to {high:g} m"
+                if not chain.slides[i]:
+                    words = f"{math.degrees(low):g} to {math.degrees(high):g} deg"
+                words = f"{names[i]}'s range, {words}"
                 raise ParameterError.bound(f"start.nominal.q_deg.{i}", "within", words, given[i])
 
     @property
@@ -375,34 +370,26 @@ class Arm(Realistic):
         """Its servos, or motors without servos for an inner loop of torques; those carry the
         weight, too.
         """
-        if self.controller.torques:
-            motors = zip(
-                self.chain.names,
-                self.joint_speeds.tolist(),
-                self.motor_torques.tolist(),
-                strict=True,
-            )
-            given = (Servo(name, speed, torque) for name, speed, torque in motors)
-            return Actuation(
-                None,
-                friction=self.servo_set.friction,
-                gravity_compensated=False,
-                servos=tuple(given),
-            )
-        return (
-            self.servo_set
-            if self.gravity_error is None
-            else replace(self.servo_set, gravity_error=self.gravity_error)
+        if not self.controller.torques:
+            if self.gravity_error is None:
+                return self.servo_set
+            return replace(self.servo_set, gravity_error=self.gravity_error)
+        speeds = self.joint_speeds.tolist()
+        torques = self.motor_torques.tolist()
+        motors = map(Servo, self.chain.names, speeds, torques)
+        return Actuation(
+            None,
+            friction=self.servo_set.friction,
+            gravity_compensated=False,
+            servos=tuple(motors),
         )
 
     @property
     def motor_torques(self) -> Array:
         """Largest torques of its motors (n,) [Nm, N]; infinite where it has no limits."""
-        return (
-            self.largest_torques
-            if self.servo_set.friction
-            else np.full(len(self.chain.names), np.inf)
-        )
+        if self.servo_set.friction:
+            return self.largest_torques
+        return np.full(len(self.chain.names), np.inf)
 
     @property
     def largest_torques(self) -> Array:
@@ -458,26 +445,23 @@ class Arm(Realistic):
     @cached_property
     def acting(self) -> tuple[Effect, ...]:
         """Motors, gears, links, payload, and further ones."""
-        found: list[Effect] = []
+        found = list[Effect]()
+        slides = self.chain.slides
         if self.ripple is not None or self.drives is not None:
             ripple = self.ripple or Ripple()
-            slides = self.chain.slides
             cogging = each("ripple.cogging_nm", ripple.cogging_nm, slides)
-            found.append(
-                Motors(
-                    cogging, each("ripple.cycles", ripple.cycles, slides), ripple.share, self.drives
-                )
-            )
+            cycles = each("ripple.cycles", ripple.cycles, slides)
+            found.append(Motors(cogging, cycles, ripple.share, self.drives))
         if self.elastic is not None:
             found.append(self.elastic)
-        if (
-            self.geometry_error is not None
-            and self.geometry_error.displacements(len(self.chain.names)) is not None
-        ):
-            found.append(self.geometry_error)
+        error = self.geometry_error
+        if error is not None and error.displacements(len(slides)) is not None:
+            found.append(error)
         if self.tool is not None or self.wrist is not None:
             found.append(Tool(self.tool, self.wrist))
-        return (*found, *((self.payload,) if self.payload is not None else ()), *self.effects)
+        if self.payload is not None:
+            found.append(self.payload)
+        return *found, *self.effects
 
     def _springs(self, gears: Gears) -> tuple[Array, Array | None, Array | None]:
         """Stiffness (n,) and stages (n, m, 2) of the gears, inertia of the rotors (n,); None where
@@ -492,11 +476,8 @@ class Arm(Realistic):
                     " works: robot.gears.stiffness_nmprad=[]"
                 )
                 raise ParameterError("gears.stiffness_nmprad", words)
-            return (
-                each("gears.stiffness_nmprad", gears.stiffness_nmprad, slides, turns=False),
-                None,
-                None,
-            )
+            k = each("gears.stiffness_nmprad", gears.stiffness_nmprad, slides, turns=False)
+            return k, None, None
         if self.strain_wave is not None:
             return *self.strain_wave.curves(slides), self.strain_wave.rotors(slides)
         if gears != preset:
@@ -534,12 +515,8 @@ class Arm(Realistic):
                 f"it vibrates at {w / 2 / np.pi:.0f} Hz,"
                 f" which needs physics steps of {1e6 * step:.0f} us"
             )
-            raise self._too_stiff(
-                joint,
-                float(k[joint]),
-                f"must be 0 (rigid){{or_softer}} for {{joint}}: {needs}",
-                most,
-            )
+            words = f"must be 0 (rigid){{or_softer}} for {{joint}}: {needs}"
+            raise self._too_stiff(joint, float(k[joint]), words, most)
         return step
 
     def _too_stiff(self, joint: int, k: float, words: str, most: float = 0.0) -> ParameterError:
@@ -564,7 +541,8 @@ class Arm(Realistic):
             return super().instruments(rng)
 
         def read(q: Array, qd: Array, sensors: Mapping[str, list[float]]) -> Reading:
-            q, qd = (q, qd) if encoders is None else encoders.read(q, qd, slides)
+            if encoders is not None:
+                q, qd = encoders.read(q, qd, slides)
             return Reading(q, qd, wrench=None if wrist is None else wrist.read(sensors, rng))
 
         return read
@@ -583,18 +561,16 @@ class Arm(Realistic):
 
     def _from(self, given: Array) -> Self:
         """From positions (n,) [deg, m]."""
-        return replace(
-            self, start=replace(self.start, nominal=Positions(q_deg=tuple(given.tolist())))
-        )
+        nominal = Positions(q_deg=tuple(given.tolist()))
+        return replace(self, start=replace(self.start, nominal=nominal))
 
     def randomised(self, rng: np.random.Generator) -> Self:
         box = random_of(self.start, "{q_deg: 15}")
-        chain = self.chain
-        drawn = np.array(self.start.nominal.q_deg) + rng.uniform(
-            -1, 1, len(chain.names)
-        ) * np.where(chain.slides, box.slide_m, box.q_deg)
-        low, high = np.where(chain.slides, chain.limits.T, np.degrees(chain.limits.T))
-        return self._from(np.clip(drawn, low, high))
+        slides = self.chain.slides
+        limits = self.chain.limits.T
+        off = rng.uniform(-1, 1, len(slides)) * np.where(slides, box.slide_m, box.q_deg)
+        drawn = np.array(self.start.nominal.q_deg) + off
+        return self._from(np.clip(drawn, *np.where(slides, limits, np.degrees(limits))))
 
     def kinematics(self, q: Array) -> tuple[Array, Array]:
         """T_world_flange (4, 4) and the Jacobian (6, n): twist of the flange (v, w) in its own
@@ -669,17 +645,10 @@ class Arm(Realistic):
         self, rates: Array, reading: Reading, mount: Mount, period: float
     ) -> Allocation:
         """Joint speeds, scaled as a whole into speed and position limits."""
-        speed, position = self._allowed(rates, reading.q, max(LIMIT_HORIZON_S, period))
-        scale = min(1.0, speed, position)
-        limit: Limit = "" if scale == 1.0 else "joint_limit" if position < speed else "speed"
+        scale, limit = self._allowed(rates, reading.q, period)
         dq = rates * scale
-        return Allocation(
-            self._setpoint(dq),
-            mount.to_camera @ (self.kinematics(reading.q)[1] @ dq),
-            scale,
-            limit,
-            dq,
-        )
+        twist = mount.to_camera @ (self.kinematics(reading.q)[1] @ dq)
+        return Allocation(self._setpoint(dq), twist, scale, limit, dq)
 
     def _setpoint(self, dq: Array) -> Array:
         """Joint speeds (n,), and no wanted wrench where the inner loop takes one."""
@@ -722,11 +691,12 @@ class Arm(Realistic):
         limits = self.chain.limits
         # a joint that turns without end has no middle: nan, where it is always inside
         with np.errstate(invalid="ignore"):
-            low, high = (
-                limits.mean(axis=1) + side * INNER * np.ptp(limits, axis=1) / 2 for side in (-1, 1)
-            )
-        low = np.where(np.isnan(low), -np.inf, low)
-        high = np.where(np.isnan(high), np.inf, high)
+            middle = limits.mean(axis=1)
+            reach = INNER * np.ptp(limits, axis=1) / 2
+            low = middle - reach
+            high = middle + reach
+        low[np.isnan(low)] = -np.inf
+        high[np.isnan(high)] = np.inf
         return -self.avoid_limits * (q - np.clip(q, low, high))
 
     def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
@@ -749,11 +719,10 @@ class Arm(Realistic):
             dq = dq + away - resolved_rate(J, J @ away, self.unit_m, threshold=1e-9)
         realised = J @ dq
         along = share(realised, commanded, self.unit_m)
-        limit: Limit = "singular" if differs(realised, commanded) else ""
-        speed, position = self._allowed(dq, reading.q, max(LIMIT_HORIZON_S, period))
-        scale = min(1.0, speed, position)
-        if scale < 1.0:  # a limit met hides the singularity beside it: `scale` has both
-            limit = "joint_limit" if position < speed else "speed"
+        scale, limit = self._allowed(dq, reading.q, period)
+        # a limit met hides the singularity beside it: `scale` has both
+        if not limit and differs(realised, commanded):
+            limit = "singular"
         return Allocation(
             setpoint=self._setpoint(dq * scale),
             twist=mount.to_camera @ realised * scale,
@@ -762,14 +731,14 @@ class Arm(Realistic):
             rates=dq * scale,
         )
 
-    def _allowed(self, dq: Array, q: Array, horizon_s: float) -> tuple[float, float]:
-        """Largest factors of the joint speeds dq (n,) within the speed limits, and within the
-        velocity damper at the joints q (n,).
+    def _allowed(self, dq: Array, q: Array, period: float) -> tuple[float, Limit]:
+        """The factor, 1 at most, that brings joint speeds dq (n,) within the speed limits and the
+        velocity damper at the joints q (n,), and which of them it is.
 
-        The horizon is not shorter than a period: within one, no further command could slow a joint
-        down. The joints are the measured ones, not integrated commands: the servos lag behind
-        those.
+        The joints are the measured ones, not integrated commands: the servos lag behind those.
         """
+        # not shorter than a period: within one, no further command could slow a joint down
+        horizon_s = max(LIMIT_HORIZON_S, period)
         speed = position = math.inf
         limits = zip(
             dq.tolist(),
@@ -783,7 +752,9 @@ class Arm(Realistic):
             room = (high - at if u > 0 else at - low) - LIMIT_MARGIN
             speed = min(speed, most / size)
             position = min(position, max(room, 0.0) / horizon_s / size)
-        return speed, position
+        if min(speed, position) >= 1.0:
+            return 1.0, ""
+        return (position, "joint_limit") if position < speed else (speed, "speed")
 
 
 class WristLog(RobotLog):

@@ -87,9 +87,9 @@ def step(
     where none is known. dt: [s].
     """
     (x, y, z), (bx, by, bz) = state
-    (fx, fy, fz) = force
-    (kx, ky, kz) = acceleration
-    (gx, gy, gz) = gyro
+    fx, fy, fz = force
+    kx, ky, kz = acceleration
+    gx, gy, gz = gyro
     ax = fx - kx
     ay = fy - ky
     az = fz - kz
@@ -123,9 +123,13 @@ def level(up: Vector) -> Level:
     is taken as 0.
     """
     x, y, z = up
-    sp = -x
+    sp = -x  # sine and cosine of pitch, and of roll
     cp = math.hypot(y, z)
-    sr, cr = (y / cp, z / cp) if cp > 1e-6 else (0.0, 1.0)
+    sr = 0.0
+    cr = 1.0
+    if cp > 1e-6:
+        sr = y / cp
+        cr = z / cp
     return cp, sp * sr, sp * cr, 0.0, cr, -sr, -sp, cp * sr, cp * cr
 
 

@@ -49,8 +49,10 @@ class Reading:
 
 # Supervisor: may override the law's order for the robot's safety, from proprioception alone.
 #
-#     follow --no measurement--> hold (the law rests, or drives on by what it knew) --lost_after_s,
-#     lost_after_m--> stop follow, hold --the law fails--> stop
+#     follow --no measurement--> hold --lost_after_s, lost_after_m--> stop
+#     follow, hold --the law fails--> stop
+#
+# While it holds, the law rests, or drives on by what it knew.
 #
 # Every robot has one. How a robot stops is its own matter (`Robot.stopping`); when it must is
 # decided here, and for a craft that must set down besides in `failsafe`.
@@ -104,10 +106,11 @@ class Supervisor:
             moved_m: way of the camera since the last frame, by the robot's own sensors [m]; it
                 counts while blind.
         """
-        if (why := self._look(t, blind, moved_m)) and not self.aborted:
-            self.abort(
-                t, Outcome.target_lost, why if self._seen_once else f"{why}, from the start on"
-            )
+        lost = self._look(t, blind, moved_m)
+        if lost and not self.aborted:
+            if not self._seen_once:
+                lost += ", from the start on"
+            self.abort(t, Outcome.target_lost, lost)
         if not self.aborted:
             self.mode = HOLDS if blind else FOLLOWS
             return order
@@ -144,11 +147,9 @@ class Supervisor:
         # Times are sums of steps: without 1e-9 a rounding would cost a frame.
         if t - self._lost_at + 1e-9 >= self.lost_after_s:
             return f"{blind} for {self.lost_after_s:g} s"
-        return (
-            f"{blind} for {self.lost_after_m:g} m of the way"
-            if self._blind_m >= self.lost_after_m
-            else ""
-        )
+        if self._blind_m >= self.lost_after_m:
+            return f"{blind} for {self.lost_after_m:g} m of the way"
+        return ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,12 +158,13 @@ class RobotState:
     nowhere else.
 
     Attributes:
-        t: time [s]. T_world_base: true pose of the base (4, 4).
+        t: time [s].
+        T_world_base: true pose of the base (4, 4).
         place, odometry: (x, y, heading) [m, m, rad] as the observer estimates them, NaN where it
             has none.
         reading: the robot's sensor reading.
-        act: true activations of its actuators (nu,). wind: true velocity of the air in the world
-            (3,) [m/s].
+        act: true activations of its actuators (nu,).
+        wind: true velocity of the air in the world (3,) [m/s].
     """
 
     t: float
@@ -212,8 +214,8 @@ class BodyFile:
 
     Attributes:
         file: a name in models/, or a whole path.
-        actuators: in the order of their controls. sensors: those of the file that
-            `Robot.instruments` turns into the reading.
+        actuators: in the order of their controls.
+        sensors: those of the file that `Robot.instruments` turns into the reading.
         flange: the site, or the body, in the file that carries the camera.
         actuation: which of the file's actuators are used, and what is added to them; None: all, as
             they are.
@@ -222,8 +224,8 @@ class BodyFile:
             no joint has any.
         rest_ctrl: controls and activations (nu,) that hold the robot at its start; None where the
             defaults of the file do.
-        feet: geoms that may touch the ground while nothing else of the body may. standing_m: height
-            of the base frame over what the feet stand on [m].
+        feet: geoms that may touch the ground while nothing else of the body may.
+        standing_m: height of the base frame over what the feet stand on [m].
         gripper: whether it can hold the target in front of a camera that stands in the room.
         slips: whether the robot feels the floor's friction (`world.floor_friction`).
         largest_step_s: the largest physics step at which its actuators were tested [s]: servo gains
@@ -274,16 +276,12 @@ class Robot:
     """
     joints: ClassVar[tuple[str, ...]] = ()  # Joints that it measures, in the order of its reading
     body: ClassVar[BodyFile | None] = None  # Its body in MuJoCo; None for the ideal camera
-    onboard: ClassVar[Onboard | None] = (
-        None  # Its onboard controller; None where the setpoint is the actuators' controls
-    )
+    # Its onboard controller; None where the setpoint is the actuators' controls
+    onboard: ClassVar[Onboard | None] = None
     # Its imperfections, in the order in which they change its model and act
     acting: ClassVar[tuple[Effect, ...]] = ()
-    draws: ClassVar[bool] = (
-        # Whether the scenario's seed makes a difference to its body or its sensors, besides the
-        # start
-        False
-    )
+    # Whether the scenario's seed makes a difference to its body or its sensors, besides the start
+    draws: ClassVar[bool] = False
 
     @property
     def proprioception_names(self) -> tuple[str, ...]:
@@ -323,13 +321,10 @@ class Robot:
 
         UnreachableError where it does not get there, ParameterError where it has no such inverse.
         """
-        raise ParameterError(
-            "robot.kind",
-            (
-                "must be an arm or the free camera:"
-                " only they start where a view of the target asks for"
-            ),
+        words = (
+            "must be an arm or the free camera: only they start where a view of the target asks for"
         )
+        raise ParameterError("robot.kind", words)
 
     @abstractmethod
     def flange_pose(self, configuration: Array) -> Array:
@@ -376,13 +371,12 @@ class Robot:
         """
         J = self.motion_basis(mount, reading.q)
         n = J.shape[1]
-        names = (
-            CAMERA
-            if n == 6
-            else self.joints
-            if len(self.joints) == n
-            else tuple(f"u_{i}" for i in range(n))
-        )
+        if n == 6:
+            names = CAMERA
+        elif len(self.joints) == n:
+            names = self.joints
+        else:
+            names = tuple(f"u_{i}" for i in range(n))
         return OwnModel.of_motions(names, J, np.full(n, np.inf), np.full(n, np.inf))
 
     def supervisor(self, lands: bool, lost_after_s: float, lost_after_m: float) -> Supervisor:
@@ -415,9 +409,8 @@ class Onboard(Robot):
 
     reading: ClassVar[type[Reading]] = Reading  # the class of the reading that the loop sees
     control_period_s: float  # its period [s]
-    first_setpoint: ClassVar[Array | None] = (
-        None  # before the first command; None where the controls stay those of the start until then
-    )
+    # Before the first command; None where the controls stay those of the start until then
+    first_setpoint: ClassVar[Array | None] = None
 
     @property
     def onboard(self) -> Onboard | None:

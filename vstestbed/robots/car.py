@@ -13,7 +13,7 @@ import functools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
@@ -297,13 +297,12 @@ class CarParameters:
         crank, wheel = ackermann(self.slant)
         # the right side is the left's mirror image, -q(-p(-d))
         for side, sign in (("left", 1.0), ("right", -1.0)):
-            mirrored = [
-                tuple(c * sign ** (k + 1) for k, c in enumerate(poly)) for poly in (crank, wheel)
-            ]
-            found += [
-                (couple, f"crank_{side}", mirrored[0]),
-                (couple, f"front_{side}_steer", mirrored[1]),
-            ]
+            for joint, polynomial in (
+                (f"crank_{side}", crank),
+                (f"front_{side}_steer", wheel),
+            ):
+                mirrored = [c * sign ** (k + 1) for k, c in enumerate(polynomial)]
+                found.append((couple, joint, tuple(mirrored)))
         return tuple(found)
 
 
@@ -426,14 +425,14 @@ class Car(Vehicle, Onboard):
     limits: CarLimits = CarLimits()
     tyres: Tyres | None = None
     steering_play_deg: Annotated[AngleWidth, TighterBounds(le=20)] | None = None
-    presets: ClassVar[Mapping[Level, Mapping[str, object]]] = CAR
-    imperfect_wheels: ClassVar[bool] = True
-    joints: ClassVar[tuple[str, ...]] = (
+    presets = CAR
+    imperfect_wheels = True
+    joints = (
         *("steering", "front_left_steer", "front_right_steer"),
         *("rear_left", "rear_right", "front_left", "front_right"),
     )
-    control_period_s: ClassVar[float] = 0.01
-    proprioception_names: ClassVar[tuple[str, ...]] = (  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
+    control_period_s = 0.01
+    proprioception_names = (  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
         *Vehicle.proprioception_names,
         "compass",
         "steering",
@@ -443,33 +442,26 @@ class Car(Vehicle, Onboard):
         body = self.parameters
         limits = self.limits
         if limits.steering_rad > body.most_steering_rad:
+            most = math.floor(1e3 * body.most_steering_rad) / 1e3
             words = (
-                f"must be at most {math.floor(1e3 * body.most_steering_rad) / 1e3:g} rad at track_m"
-                f" {body.track_m:g} and wheelbase_m"
-            )
-            words = (
-                f"{words} {body.wheelbase_m:g}:"
+                f"must be at most {most:g} rad at track_m {body.track_m:g} and wheelbase_m"
+                f" {body.wheelbase_m:g}:"
                 " the inner front wheel would turn beyond 71 degrees, into the chassis"
             )
             raise ParameterError("limits.steering_rad", words, limits.steering_rad)
-        # by default 1.32 Nm of the buggy's four wheels, by the file
-        rolling = self.rolling_resistance
-        resistance = (
-            1.32 / 0.15 * (body.mass_kg / 60.0)
-            if rolling is None
-            else rolling * body.mass_kg * GRAVITY
-        )
-        if (
-            need := (body.mass_kg * limits.acceleration_mps2 + resistance) * body.wheel_radius_m
-        ) > body.motor_torque_nm:
-            most = limits.acceleration_mps2 - (need - body.motor_torque_nm) / (
-                body.mass_kg * body.wheel_radius_m
-            )
-            other = f"; or lower that acceleration to {most:.2g} m/s^2" if most > 0.01 else ""
+        resistance = 1.32 / 0.15 * (body.mass_kg / 60.0)  # of the file's buggy: 1.32 Nm
+        if self.rolling_resistance is not None:
+            resistance = self.rolling_resistance * body.mass_kg * GRAVITY
+        need = (body.mass_kg * limits.acceleration_mps2 + resistance) * body.wheel_radius_m
+        lacks = need - body.motor_torque_nm
+        if lacks > 0:
             words = (
                 f"{need:.3g} Nm for limits.acceleration_mps2 {limits.acceleration_mps2:g} with"
-                f" mass_kg {body.mass_kg:g}{other}"
+                f" mass_kg {body.mass_kg:g}"
             )
+            most = limits.acceleration_mps2 - lacks / (body.mass_kg * body.wheel_radius_m)
+            if most > 0.01:
+                words += f"; or lower that acceleration to {most:.2g} m/s^2"
             raise ParameterError.bound(
                 "parameters.motor_torque_nm", "at least", words, body.motor_torque_nm
             )
@@ -497,7 +489,9 @@ class Car(Vehicle, Onboard):
     @property
     def acting(self) -> tuple[Effect, ...]:
         """Its tyres before the others."""
-        return (*((self.tyres,) if self.tyres is not None else ()), *super().acting)
+        if self.tyres is None:
+            return super().acting
+        return self.tyres, *super().acting
 
     @property
     def ends_m(self) -> tuple[float, float]:
@@ -528,16 +522,14 @@ class Car(Vehicle, Onboard):
         """(v, w): its speed and the yaw rate on its tightest circle; its servos' acceleration, and
         v / L times the rate of its steering.
         """
-        v = self.limits.speed_mps
         limits = self.limits
-        speeds = np.array([v, v / self.turning_radius_m])
-        accelerations = np.array(
-            [limits.acceleration_mps2, v * limits.steering_rate_radps / self.parameters.wheelbase_m]
-        )
+        v = limits.speed_mps
+        radius = self.turning_radius_m
+        speeds = np.array([v, v / radius])
+        turn = v * limits.steering_rate_radps / self.parameters.wheelbase_m
+        accelerations = np.array([limits.acceleration_mps2, turn])
         J = self.motion_basis(mount, reading.q)
-        return OwnModel.of_motions(
-            ("v", "w"), J, speeds, accelerations, turning_radius_m=self.turning_radius_m
-        )
+        return OwnModel.of_motions(("v", "w"), J, speeds, accelerations, turning_radius_m=radius)
 
     @property
     def draws_heading(self) -> bool:
@@ -548,15 +540,13 @@ class Car(Vehicle, Onboard):
         """Exact encoders, and the compass: the direction of the base's true x axis with bias and
         noise, in [-pi, pi).
         """
+        compass = self.compass
 
         def read(q: Array, qd: Array, sensors: Mapping[str, list[float]]) -> Reading:
             x, y = sensors["heading"][:2]
-            error = math.radians(
-                self.compass.bias_deg + self.compass.sigma_deg * rng.standard_normal()
-            )
-            return Reading(
-                q, qd, heading=(math.atan2(y, x) + error + math.pi) % (2 * math.pi) - math.pi
-            )
+            error = math.radians(compass.bias_deg + compass.sigma_deg * rng.standard_normal())
+            heading = (math.atan2(y, x) + error + math.pi) % (2 * math.pi) - math.pi
+            return Reading(q, qd, heading=heading)
 
         return read
 
@@ -564,13 +554,8 @@ class Car(Vehicle, Onboard):
         """Dead reckoning (x, y, heading) from its start, the compass's heading, the steering angle:
         (5,) [m, m, rad, rad, rad].
         """
-        return np.array(
-            [
-                *super().proprioception(reading, odometry),
-                reading.heading or 0.0,
-                reading.q[_STEERING],
-            ]
-        )
+        more = [reading.heading or 0.0, reading.q[_STEERING]]
+        return np.append(super().proprioception(reading, odometry), more)
 
     def odometry(self, before: Reading, now: Reading, duration: float) -> Array:
         """Mean motion (vx, 0, wz), shape (3,), of the base between two readings of its encoders.
@@ -589,14 +574,6 @@ class Car(Vehicle, Onboard):
         left, right = (now.q[_REAR] - before.q[_REAR]) * (self.believed_radius / duration)
         return np.array([(left + right) / 2, 0.0, (right - left) / self.parameters.track_m])
 
-    def measured_twist(
-        self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount
-    ) -> Array:
-        """Mean camera twist (6,) between two readings, from the encoders alone; zero where no time
-        has passed.
-        """
-        return mount.to_camera @ (PLANE @ self.odometry(before, now, duration))
-
     def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
         """Speed [m/s] and steering angle [rad] for a camera twist (6,), as `within_limits` has it.
 
@@ -609,13 +586,16 @@ class Car(Vehicle, Onboard):
         v, w = (PLANE[:, [0, 2]].T @ (mount.to_flange @ twist)).tolist()
         held = float(reading.q[_STEERING])
         wheelbase = self.parameters.wheelbase_m
-        speed, steering = (float(x) for x in within_limits(v, w, held, wheelbase, self.limits))
+        speed, steering = map(float, within_limits(v, w, held, wheelbase, self.limits))
         turn = float(yaw_rate(speed, steering, wheelbase)) if abs(speed) >= STANDSTILL else 0.0
+        of_turn = turn / w if abs(w) > STANDSTILL else 1.0
         scale = 1.0
         limit = ""
         if abs(v) < STANDSTILL:
-            scale, limit = (1.0, "") if abs(w) < STANDSTILL else (0.0, "singular")
-        elif (of_turn := turn / w if abs(w) > STANDSTILL else 1.0) < speed / v - 1e-9:
+            if abs(w) >= STANDSTILL:
+                scale = 0.0
+                limit = "singular"
+        elif of_turn < speed / v - 1e-9:
             # The speed's cut shrinks the yaw rate alike: only a yaw rate that shrinks more has met
             # the steering's stop. 1e-9 is for rounding.
             scale = of_turn
@@ -647,7 +627,7 @@ class Car(Vehicle, Onboard):
         on the rear wheels' mean speed.
         """
         limits = self.limits
-        (speed, steering, integral, drive) = state
+        speed, steering, integral, drive = state
         v, angle = setpoint.tolist()
         speed = speed + _within(_within(v, limits.speed_mps) - speed, limits.acceleration_mps2 * dt)
         turn = _within(angle, limits.steering_rad) - steering

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Le
@@ -59,15 +59,14 @@ class Compound(Arm):
     arm: Annotated[Puma560 | Mjcf, ARMS] = Puma560()
     start: ArmStart
     posture_gain: Annotated[float, Ge(0), Le(10)] = 0.5
-    avoid_limits: ClassVar[float] = 0.0
+    avoid_limits = 0.0
 
     def __post_init__(self) -> None:
         """Refuse what belongs to the arm's own block."""
         for field in ("gears", "strain_wave", "ripple", "encoders", "drives", "geometry_error"):
-            if getattr(self, field) is not None:
-                raise ParameterError.only_for(
-                    field, "an arm on a base that stands", getattr(self, field)
-                )
+            given = getattr(self, field)
+            if given is not None:
+                raise ParameterError.only_for(field, "an arm on a base that stands", given)
         object.__setattr__(self, "joints", self.chain.names)  # frozen: those of both
         self._check()
 
@@ -100,9 +99,8 @@ class Compound(Arm):
     @property
     def file(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
         """The model of both, made of the two files."""
-        return reader().mounted(
-            PLATFORM, self.platform.changes(planar=True), self.arm.file, (0.0, 0.0, DECK_M)
-        )
+        changes = self.platform.changes(planar=True)
+        return reader().mounted(PLATFORM, changes, self.arm.file, (0.0, 0.0, DECK_M))
 
     @property
     def actuation(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride] - as above
@@ -134,21 +132,15 @@ class Compound(Arm):
         own = self.arm.servo_set
         speeds = self.joint_speeds.tolist()
         most = self.largest_torques.tolist()
-        M, _ = reader().inertia_at(
-            self.file, self.chain.names, tuple(self.configuration().tolist())
-        )
+        q = tuple(self.configuration().tolist())
+        M, _ = reader().inertia_at(self.file, self.chain.names, q)
         w = BANDWIDTH_RADPS
-        wheels = [
-            Servo(name, speed, torque, float(m) * w * w, 2 * float(m) * w)
-            for name, speed, torque, m in zip(WHEELS, speeds, most, M.diagonal(), strict=False)
-        ]
-        return replace(
-            own,
-            servos=(
-                *wheels,
-                *(replace(servo, joint=f"{UPPER}{servo.joint}") for servo in own.servos),
-            ),
-        )
+        wheels = []
+        for i, name in enumerate(WHEELS):
+            m = float(M[i, i])
+            wheels.append(Servo(name, speeds[i], most[i], m * w * w, 2 * m * w))
+        upper = [replace(servo, joint=f"{UPPER}{servo.joint}") for servo in own.servos]
+        return replace(own, servos=(*wheels, *upper))
 
     def _away_from_limits(self, q: Array) -> Array:
         """dq* = -posture_gain (q - q_start) of the arm's joints; the platform has no middle."""

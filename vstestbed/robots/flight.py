@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, ClassVar, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -110,10 +110,10 @@ class Loops(NamedTuple):
     """State of the loops.
 
     Attributes:
-        trim: the velocity loop's integral (3,) in the level frame [m/s^2]. model: v_m (3,) [m/s]
-            and a_m along x and y (2,) [m/s^2].
-        rate_trim: the rate loop's integral (2,) [rad/s^2]. yaw_rate: the yaw-rate command, its
-            slope limited [rad/s].
+        trim: the velocity loop's integral (3,) in the level frame [m/s^2].
+        model: v_m (3,) [m/s] and a_m along x and y (2,) [m/s^2].
+        rate_trim: the rate loop's integral (2,) [rad/s^2].
+        yaw_rate: the yaw-rate command, its slope limited [rad/s].
         levelling: whether the craft ignores its setpoint until it is level.
         force: reference of the attitude loop: the thrust's direction (3,) in the level frame, unit.
         ref_rates: reference of the rate loop: body rates (3,) [rad/s].
@@ -211,7 +211,8 @@ def velocity_loop(
     # The level frame turns with the heading, the wind does not: its compensation must turn back by
     # as much.
     turn = yaw_rate * dt
-    x, y, z = x + turn * y + i * (mx - vx), y - turn * x + i * (my - vy), z + j * (mz - vz)
+    x, y = x + turn * y + i * (mx - vx), y - turn * x + i * (my - vy)
+    z = z + j * (mz - vz)
     most = MAX_TRIM
     # rare, and calls take time
     if not (-most <= x <= most and -most <= y <= most and -most <= z <= most):
@@ -310,10 +311,10 @@ class Instruments(NamedTuple):
     kHz.
 
     Attributes:
-        gyro: body rates (3,) [rad/s]. force: specific force of the accelerometer, body axes (3,)
-            [m/s^2].
-        velocity: of the optical-flow instrument, body axes (3,) [m/s]. range_m: of the range finder
-            that looks down, inf over nothing [m].
+        gyro: body rates (3,) [rad/s].
+        force: specific force of the accelerometer, body axes (3,) [m/s^2].
+        velocity: of the optical-flow instrument, body axes (3,) [m/s].
+        range_m: of the range finder that looks down, inf over nothing [m].
         voltage_v: of the battery, NaN where none is modelled [V].
     """
 
@@ -330,12 +331,13 @@ class FlightEstimate:
     to the next.
 
     Attributes:
-        velocity: in body axes (3,) [m/s]. rates: body rates without the gyro's bias (3,) [rad/s].
-        ref_tilt: reference roll and pitch, from the velocity loop (2,) [rad]. ref_rates: reference
-            body rates, from the attitude loop (3,) [rad/s].
+        velocity: in body axes (3,) [m/s].
+        rates: body rates without the gyro's bias (3,) [rad/s].
+        ref_tilt: reference roll and pitch, from the velocity loop (2,) [rad].
+        ref_rates: reference body rates, from the attitude loop (3,) [rad/s].
         rotor_limit_s: for how long a rotor has been at its limit [s].
-        overturned: tilted beyond 60 degrees, or still levelling after that. stands: its feet carry
-            its weight.
+        overturned: tilted beyond 60 degrees, or still levelling after that.
+        stands: its feet carry its weight.
     """
 
     velocity: Array
@@ -370,9 +372,10 @@ class FlightReading(Reading):
 # The quadrotor's failsafe: a state machine that overrides the law's setpoint, from onboard
 # estimates alone.
 #
-#     follow --target lost--> hold (the law rests, or coasts after a moving target) --lost_after_s,
-#     lost_after_m--> sink --feet down--> off follow --overturned, a rotor at its limit, or the law
-#     fails--> hold --HOLD_S--> sink --feet down--> off
+#     follow --target lost--> hold --lost_after_s, lost_after_m--> sink --feet down--> off
+#     follow --overturned, a rotor at its limit, or the law fails--> hold --HOLD_S--> sink
+#
+# While it holds, the law rests, or coasts after a moving target.
 #
 # A lost target that is seen again brings it back to `follow`, unless the craft is already near the
 # ground. An overturned craft is levelled by its flight loops, which ignore setpoints meanwhile; a
@@ -399,7 +402,7 @@ class Failsafe(Supervisor):
     lands: the task ends on the ground. off_at: when the rotors went off [s]. mode: see FOLLOWS, ...
     """
 
-    DOWN: ClassVar[tuple[str, str]] = (
+    DOWN = (
         "the craft set down",
         "the craft was still on its way down when the time ran out",
     )
@@ -431,9 +434,8 @@ class Failsafe(Supervisor):
                 self.abort(t, *cause)
         self.mode = self._next_mode(t, blind, reading.estimate)
         if self.mode == OFF:
-            return order.halted(
-                f"{self._why}the craft stands: rotors off", latched=True, stop="off"
-            )
+            reason = f"{self._why}the craft stands: rotors off"
+            return order.halted(reason, latched=True, stop="off")
         if self.mode == SINKS:
             # under the .5 m/s at which a touch-down counts as a landing (`GoalLanding.touch_mps`)
             down = descend(0.4)

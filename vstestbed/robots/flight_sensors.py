@@ -96,10 +96,14 @@ def step(
     """
     (vx, vy, vz), (dx, dy, dz), _ = state
     mx, my, mz = to_level(R, reading.velocity)
-    ix, iy, iz = mx - vx, my - vy, mz - vz
+    ix = mx - vx
+    iy = my - vy
+    iz = mz - vz
     if isinstance(source, Filtered):
         k = 1.0 / source.tau_s
-        ax, ay, az = k * ix, k * iy, k * iz
+        ax = k * ix
+        ay = k * iy
+        az = k * iz
         # v relaxes in the turning frame itself; only the acceleration handed on needs the frame's
         # rotation, r z x v.
         v = vx + ax * dt, vy + ay * dt, vz + az * dt
@@ -107,8 +111,11 @@ def step(
     fx, fy, fz = to_level(R, reading.force)
     w = source.bandwidth
     # Gains 2 w and w^2: the error's characteristic polynomial is (s + w)^2, critically damped.
-    k, j = 2.0 * w, w * w * dt
-    ax, ay, az = fx + k * ix + dx, fy + k * iy + dy, fz - GRAVITY + k * iz + dz
+    k = 2.0 * w
+    j = w * w * dt
+    ax = fx + k * ix + dx
+    ay = fy + k * iy + dy
+    az = fz - GRAVITY + k * iz + dz
     v = vx + (ax + yaw_rate * vy) * dt, vy + (ay - yaw_rate * vx) * dt, vz + az * dt
     return v, (dx + j * ix, dy + j * iy, dz + j * iz), to_body(R, (ax, ay, az))
 

@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
@@ -33,14 +33,6 @@ a million kg, and not without bound.
 POSTURE_RADPS = 5.0
 
 
-class Reference(NamedTuple):
-    """State of an inner loop. q: joints (n,) that the ordered speeds have led to [rad, m]; None
-    before the first step.
-    """
-
-    q: Array | None = None
-
-
 class InnerLoop(ABC):
     """A law of torques: tau (n,) from where the joints are
     and where the ordered speeds have led.
@@ -48,12 +40,8 @@ class InnerLoop(ABC):
 
     kind: Any  # the word in a scenario: a field of each
     rate_hz: Any = 1000.0  # at which it is computed [Hz]; a field of each that has torques
-    takes_wrench: ClassVar[bool] = (
-        False  # whether a setpoint has a wanted wrench after the joint speeds
-    )
-    torques: ClassVar[bool] = (
-        True  # False: the joints' own velocity servos, and nothing is computed
-    )
+    takes_wrench: ClassVar[bool] = False  # a setpoint has a wrench after the joint speeds
+    torques: ClassVar[bool] = True  # False: the joints' own velocity servos, nothing is computed
 
     @abstractmethod
     def torque(self, arm: ArmModel, q: Array, qd: Array, q_ref: Array, setpoint: Array) -> Array:
@@ -67,7 +55,7 @@ class VelocityServos(InnerLoop):
     """The joints' own velocity servos (`actuation`), each for itself."""
 
     kind: Literal["velocity"] = "velocity"
-    torques: ClassVar[bool] = False
+    torques = False
 
     def torque(self, arm: ArmModel, q: Array, qd: Array, q_ref: Array, setpoint: Array) -> Array:
         """Never asked."""
@@ -99,9 +87,8 @@ class ComputedTorque(InnerLoop):
 
     def torque(self, arm: ArmModel, q: Array, qd: Array, q_ref: Array, setpoint: Array) -> Array:
         w = self.bandwidth_radps
-        return arm.dynamics.inverse(
-            q, qd, w * w * (q_ref - q) + 2 * self.damping * w * (setpoint - qd)
-        )
+        qdd = w * w * (q_ref - q) + 2 * self.damping * w * (setpoint - qd)
+        return arm.dynamics.inverse(q, qd, qdd)
 
 
 @spec
@@ -133,7 +120,7 @@ class Impedance(InnerLoop):
     stiffness_nmprad: tuple[Stiffness, Stiffness, Stiffness] = (100.0, 100.0, 100.0)
     damping: DampingRatio = 1.0
     at: Pose = Pose()
-    takes_wrench: ClassVar[bool] = True
+    takes_wrench = True
 
     @cached_property
     def _constants(self) -> tuple[Array, Array]:
@@ -143,18 +130,16 @@ class Impedance(InnerLoop):
     def torque(self, arm: ArmModel, q: Array, qd: Array, q_ref: Array, setpoint: Array) -> Array:
         n = len(q)
         at = self.at.T
-        (to_frame, K) = self._constants
-        (T, J) = arm.chain.kinematics(q)
+        to_frame, K = self._constants
+        T, J = arm.chain.kinematics(q)
         T_ref = arm.chain.flange(q_ref)
         J = to_frame @ J
         M = arm.dynamics.mass(q)
         across = np.linalg.solve(M, J.T)  # M^-1 J^T
         felt = np.linalg.inv(J @ across + LEAST_MOBILITY * np.eye(6)).astype(float)  # Lambda
-        wrench = (
-            K @ log(inverse(T @ at) @ T_ref @ at)
-            + damping_of(felt, K, self.damping) @ (J @ (setpoint[:n] - qd))
-            + setpoint[n:]
-        )
+        x = log(inverse(T @ at) @ T_ref @ at)
+        v = J @ (setpoint[:n] - qd)
+        wrench = K @ x + damping_of(felt, K, self.damping) @ v + setpoint[n:]
         tau = J.T @ wrench + arm.dynamics.inverse(q, qd, np.zeros(n))
         if n > 6:  # torques that leave the frame alone, J M^-1 tau = 0
             w = POSTURE_RADPS
@@ -207,7 +192,7 @@ class TorqueControl:
     needed.
     """
 
-    reading: ClassVar[type[Reading]] = Reading
+    reading = Reading
 
     def __init__(self, loop: InnerLoop, n: int, model: Callable[[], ArmModel]):
         self._loop = loop
@@ -220,24 +205,25 @@ class TorqueControl:
     def _arm(self) -> ArmModel:
         return self._model()
 
-    def begin(self) -> Reference:
-        """Nothing read yet."""
-        return Reference()
+    def begin(self) -> None:
+        """No reference yet: it begins where the joints are."""
 
     def actuate(
-        self, state: Reference, setpoint: Array, reading: Reading, dt: float
-    ) -> tuple[Reference, Array]:
-        """One step of dt [s]: the next reference, and the torques (n,)."""
+        self, state: Array | None, setpoint: Array, reading: Reading, dt: float
+    ) -> tuple[Array, Array]:
+        """One step of dt [s]: the next reference, joints (n,) that the ordered speeds have led to
+        [rad, m], and the torques (n,).
+        """
         q = reading.q
-        n = len(reading.q)
-        q_ref = q.copy() if state.q is None else state.q
+        n = len(q)
+        q_ref = q.copy() if state is None else state
         tau = self._loop.torque(self._arm, q, reading.qd, q_ref, setpoint)
         most = self._arm.most
         winds = (np.abs(tau) >= most) & (tau * setpoint[:n] > 0)
         low, high = self._arm.chain.limits.T
         ahead = np.clip(q_ref + np.where(winds, 0.0, setpoint[:n]) * dt, low, high)
-        return Reference(ahead), np.clip(tau, -most, most)
+        return ahead, np.clip(tau, -most, most)
 
-    def reported(self, state: Reference, reading: Reading) -> Reading:
+    def reported(self, state: Array | None, reading: Reading) -> Reading:
         """What the instruments read: it estimates nothing."""
         return reading

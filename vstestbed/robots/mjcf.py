@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Le, Len
@@ -109,7 +109,7 @@ class Mjcf(Arm):
     servo_kv: Annotated[tuple[Stiffness, ...], Len(0, 7), Broadcast()] = ()
     start: ArmStart
     avoid_limits: Annotated[float, Ge(0), Le(10)] = 0.5
-    presets: ClassVar[Mapping[Level, Mapping[str, object]]] = PRESETS
+    presets = PRESETS
 
     def __post_init__(self) -> None:
         """Read the file, and refuse what does not fit it."""
@@ -139,9 +139,9 @@ class Mjcf(Arm):
         keep them.
         """
         if not self.servo_kp:
-            each = zip(self._inertia(chain), chain.friction.tolist(), chain.slides, strict=True)
+            gains = map(servo_gains, self._inertia(chain), chain.friction.tolist(), chain.slides)
             # frozen, as above
-            object.__setattr__(self, "servo_kp", tuple(servo_gains(*joint)[0] for joint in each))
+            object.__setattr__(self, "servo_kp", tuple(kp for kp, _ in gains))
         if not self.servo_kv:
             kv = tuple(four_digits(kp * RATIO_S) for kp in self.servo_kp)
             object.__setattr__(self, "servo_kv", kv)
@@ -164,24 +164,19 @@ class Mjcf(Arm):
     def servo_set(self) -> Actuation:
         """The servos: added, or the file's own."""
         chain = self.chain
-        speeds = self.speed_limits
-        if self.actuation == "file":
-            servos = [
-                Servo(name, speed, None) for name, speed in zip(chain.names, speeds, strict=True)
-            ]
-        elif self.actuation == "ideal":
-            each = zip(chain.names, speeds, self._inertia(chain), strict=True)
-            # stiff: [1/s] times the inertia
-            servos = [Servo(name, speed, np.inf, kv=5000.0 * m) for name, speed, m in each]
-        else:
-            torques = self.torque_limits or chain.torque.tolist()
-            servos = [
-                Servo(*joint)
-                for joint in zip(
-                    chain.names, speeds, torques, self.servo_kp, self.servo_kv, strict=True
-                )
-            ]
+        n = len(chain.names)
+        torques = [None] * n  # the file's own
+        kp = [0.0] * n
+        kv = [0.0] * n
         ideal = self.actuation == "ideal"
+        if ideal:
+            torques = [np.inf] * n
+            kv = [5000.0 * m for m in self._inertia(chain)]  # stiff: [1/s] times the inertia
+        elif self.actuation == "velocity":
+            torques = self.torque_limits or chain.torque.tolist()
+            kp = self.servo_kp
+            kv = self.servo_kv
+        servos = map(Servo, chain.names, self.speed_limits, torques, kp, kv)
         return Actuation(None, friction=not ideal, gravity_compensated=ideal, servos=tuple(servos))
 
     @property

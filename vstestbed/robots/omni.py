@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
@@ -108,10 +108,8 @@ class OmniParameters:
         """
         kappa = float(np.sinc(1 / rollers))  # numpy's sinc(x) is sin(pi x) / (pi x)
         x, y = self.places.T
-        return (
-            np.stack([np.ones(4), SIDES / kappa, SIDES * x / kappa - y], axis=1)
-            / self.wheel_radius_m
-        )
+        rows = np.stack([np.ones(4), SIDES / kappa, SIDES * x / kappa - y], axis=1)
+        return rows / self.wheel_radius_m
 
     @property
     def places(self) -> Array:
@@ -138,6 +136,11 @@ class OmniParameters:
         return 1.2e-3 + 4.0e-4 * (self.wheel_radius_m / 0.05) ** 2
 
     @property
+    def spin_of_wheels(self) -> Array:
+        """The diagonal (3,) of W^T spin W: the wheels' spin as the planar joints have it."""
+        return self.spin * (self.W**2).sum(axis=0)
+
+    @property
     def moved(self) -> float:
         """What a wheel's speed loop moves, about the axle [kg m^2]."""
         return self.mass_kg * self.wheel_radius_m**2 / 4 + self.spin
@@ -155,6 +158,8 @@ class OmniParameters:
             (stretch, "base", wider, (0.0, 0.0, self.wheel_radius_m - PLATFORM.wheel_radius_m)),
         ]
         harder = self.moved / PLATFORM.moved
+        fastest = self.wheel_speed_radps
+        strongest = self.motor_torque_nm
         for name, (x, y), row, before in zip(
             WHEELS, self.places.tolist(), self.W, PLATFORM.W, strict=True
         ):
@@ -164,36 +169,23 @@ class OmniParameters:
                 (scale, "geom", "pos", larger, name),
                 (scale, "actuator", "gainprm", harder, name),
                 (scale, "actuator", "biasprm", harder, name),
-                (
-                    put,
-                    "actuator",
-                    name,
-                    "ctrlrange",
-                    (-self.wheel_speed_radps, self.wheel_speed_radps),
-                ),
-                (
-                    put,
-                    "actuator",
-                    name,
-                    "forcerange",
-                    (-self.motor_torque_nm, self.motor_torque_nm),
-                ),
+                (put, "actuator", name, "ctrlrange", (-fastest, fastest)),
+                (put, "actuator", name, "forcerange", (-strongest, strongest)),
             ]
             if planar:  # the gear is the wheel's row; ratios, since the file has five digits of it
                 of_x, of_y, of_yaw = (row / before).tolist()
                 found.append((scale, "actuator", "gear", (of_x, of_y, 1.0, 1.0, 1.0, of_yaw), name))
             else:
                 found += _larger_rollers(name, larger)
-        # the wheels' spin, W^T J W, as the planar joints have it; the mean of x and y for both
-        # slides
         if planar:
-            J, before = (p.spin * (p.W**2).sum(axis=0) for p in (self, PLATFORM))
-            along = float((J[0] + J[1]) / (before[0] + before[1]))
-            turning = float(J[2] / before[2])
+            x, y, yaw = self.spin_of_wheels.tolist()
+            x_before, y_before, yaw_before = PLATFORM.spin_of_wheels.tolist()
+            along = 2.61 * ((x + y) / (x_before + y_before))  # the mean of both slides
             found += [
-                (put, "joint", name, "armature", 2.61 * along) for name in ("root_x", "root_y")
+                (put, "joint", "root_x", "armature", along),
+                (put, "joint", "root_y", "armature", along),
+                (put, "joint", "root_yaw", "armature", 0.250 * (yaw / yaw_before)),
             ]
-            found.append((put, "joint", "root_yaw", "armature", 0.250 * turning))
         return tuple(found)
 
     def rolling(self, coefficient: float) -> tuple[Change, ...]:
@@ -205,15 +197,12 @@ class OmniParameters:
 
 
 def _larger_rollers(name: str, factor: float) -> tuple[Change, ...]:
-    rollers = [f"{name}_roller{i}" for i in range(ROLLERS)]
-    return tuple(
-        change
-        for roller in rollers
-        for change in (
-            (scale, "body", "pos", factor, roller),
-            (scale, "geom", "size", factor, roller),
-        )
-    )
+    found: list[Change] = []
+    for i in range(ROLLERS):
+        roller = f"{name}_roller{i}"
+        found.append((scale, "body", "pos", factor, roller))
+        found.append((scale, "geom", "size", factor, roller))
+    return tuple(found)
 
 
 PLATFORM = OmniParameters()  # the base of models/omni.xml and models/omni_planar.xml
@@ -255,21 +244,20 @@ class Omni(Vehicle, Onboard):
     parameters: OmniParameters = PLATFORM
     start: GroundStart = GroundStart()
     wheel_radius_error: Annotated[float, Gt(-0.5), Lt(1)] = 0.0
-    presets: ClassVar[Mapping[Level, Mapping[str, object]]] = OMNI
-    imperfect_wheels: ClassVar[bool] = True
-    control_period_s: ClassVar[float] = 0.004
+    presets = OMNI
+    imperfect_wheels = True
+    control_period_s = 0.004
 
     def __post_init__(self) -> None:
-        for name in ("wheel_spread", "rolling_resistance", "uneven_floor"):
-            if self.wheels == "planar" and getattr(self, name) is not None:
-                words = "with realism, wheel_spread, rolling_resistance or uneven_floor"
-                raise ParameterError.fixed(
-                    "wheels",
-                    "rollers",
-                    self.wheels,
-                    where=words,
-                    why="planar wheels do not touch the floor",
-                )
+        of_rollers = (self.wheel_spread, self.rolling_resistance, self.uneven_floor)
+        if self.wheels == "planar" and of_rollers != (None, None, None):
+            raise ParameterError.fixed(
+                "wheels",
+                "rollers",
+                self.wheels,
+                where="with realism, wheel_spread, rolling_resistance or uneven_floor",
+                why="planar wheels do not touch the floor",
+            )
 
     @property
     def onboard(self) -> Onboard | None:
@@ -354,14 +342,6 @@ class Omni(Vehicle, Onboard):
             return belief * motion_between(before.q, now.q, duration)
         return belief * (self.parameters.W_inverse @ (now.q - before.q)) / duration
 
-    def measured_twist(
-        self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount
-    ) -> Array:
-        """Mean camera twist (6,) between two readings, from the encoders alone; zero where no time
-        has passed.
-        """
-        return mount.to_camera @ PLANE @ self.odometry(before, now, duration)
-
     def begin(self) -> Array:
         """A drive at rest (4,) [rad/s]."""
         return np.zeros(4)
@@ -384,14 +364,12 @@ class Omni(Vehicle, Onboard):
         motion = PLANE.T @ (mount.to_flange @ twist)
         # Wheels that the robot takes for larger than they are get less speed, and the base moves by
         # less than `twist` says.
-        speeds = self.parameters.W @ motion / (1 + self.wheel_radius_error)
-        scale = min(
-            1.0, self.parameters.wheel_speed_radps / max(float(np.abs(speeds).max()), 1e-12)
-        )
-        limit: Literal["", "speed"] = "speed" if scale < 1.0 else ""
+        p = self.parameters
+        speeds = p.W @ motion / (1 + self.wheel_radius_error)
+        scale = min(1.0, p.wheel_speed_radps / max(float(np.abs(speeds).max()), 1e-12))
         return Allocation(
             setpoint=speeds * scale,
             twist=mount.to_camera @ PLANE @ motion * scale,
             scale=scale,
-            limit=limit,
+            limit="speed" if scale < 1.0 else "",
         )

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,12 +28,13 @@ class OwnModel:
     craft. A law orders them by `Command.rates`.
 
     Attributes:
-        names: of the velocities. J: camera twist (6,) = J @ rates, (6, n), now. jacobian: the same
-            at other positions q (n,).
+        names: of the velocities.
+        J: camera twist (6,) = J @ rates, (6, n), now.
+        jacobian: the same at other positions q (n,).
         q, qd: positions and measured velocities (n,) [rad, m; per s]; 0 where only the velocities
             are known (all but arms).
-        low, high: lowest and highest position (n,); infinite without one. nominal: positions at the
-            nominal start (n,).
+        low, high: lowest and highest position (n,); infinite without one.
+        nominal: positions at the nominal start (n,).
         speed, acceleration: largest of each (n,) [rad/s, m/s; per s^2]; infinite where the robot
             has no such limit.
         sums, most: |sums @ rates| <= most, (k, n) and (k,), for limits that several velocities
@@ -41,15 +43,17 @@ class OwnModel:
             velocity; 0: on the spot.
         tilt, most_tilt_rad: roll and pitch (2,) of a craft, and the largest it may order; its
             acceleration needs them.
-        unit_m: length that makes metres and radians comparable [m]. slides: which positions are
-            lengths (n,); empty for none.
+        unit_m: length that makes metres and radians comparable [m].
+        slides: which positions are lengths (n,); empty for none.
         lag_s: time constant with which velocities follow their orders [s].
-        moved: displacement (n,) between the exposures of the last picture and this one, and since_s
-            the time between them [s].
+        moved: displacement (n,) between the exposures of the last picture and this one.
+        since_s: time between these exposures [s].
         underway: displacement (n,) from the exposure until this frame's command takes effect:
-            measured until now, as ordered from then; underway_s: that time [s]. coming: the part of
-            it from now on (n,).
-        ordered: the velocities ordered last (n,). period_s: time between pictures [s].
+            measured until now, as ordered from then.
+        underway_s: time from the exposure until then [s].
+        coming: the part of `underway` from now on (n,).
+        ordered: the velocities ordered last (n,).
+        period_s: time between pictures [s].
     """
 
     names: tuple[str, ...]
@@ -86,11 +90,20 @@ class OwnModel:
         n = J.shape[1]
         zero = np.zeros(n)
         endless = np.full(n, np.inf)
-        still = {"q": zero, "qd": zero, "nominal": zero, "low": -endless, "high": endless}
-        values = {**still, "sums": np.zeros((0, n)), "most": np.zeros(0), **more}
+        values: Any = {"sums": np.zeros((0, n)), "most": NONE, **more}  # fields by name
         return cls(
-            names=names, J=J, jacobian=lambda q: J, speed=speed, acceleration=acceleration, **values
-        )  # pyright: ignore[reportArgumentType] - fields by name
+            names=names,
+            J=J,
+            jacobian=lambda q: J,
+            q=zero,
+            qd=zero,
+            low=-endless,
+            high=endless,
+            nominal=zero,
+            speed=speed,
+            acceleration=acceleration,
+            **values,
+        )
 
     @classmethod
     def of_ideal_camera(cls, period_s: float, moved: Array | None = None) -> OwnModel:
@@ -98,16 +111,18 @@ class OwnModel:
         the last picture (6,).
         """
         zero = np.zeros(6)
-        values = {
-            "underway": zero,
-            "coming": zero,
-            "ordered": zero,
-            "period_s": period_s,
-            "moved": zero if moved is None else moved,
-        }
-        since = 0.0 if moved is None else period_s
+        endless = np.full(6, np.inf)
         return cls.of_motions(
-            CAMERA, np.eye(6), np.full(6, np.inf), np.full(6, np.inf), since_s=since, **values
+            CAMERA,
+            np.eye(6),
+            endless,
+            endless,
+            underway=zero,
+            coming=zero,
+            ordered=zero,
+            period_s=period_s,
+            moved=zero if moved is None else moved,
+            since_s=0.0 if moved is None else period_s,
         )
 
     @property
@@ -126,15 +141,10 @@ class OwnModel:
         """Positions (n,) given in degrees, in metres where a joint slides. Raises ParameterError:
         another number of them.
         """
-        if len(given) != len(self.names):
-            raise ParameterError.count(
-                "law.secondary.q_deg",
-                len(self.names),
-                f"positions, of {', '.join(self.names)}",
-                list(given),
-            )
-        return (
-            np.where(self.slides, given, np.radians(given))
-            if len(self.slides)
-            else np.radians(given)
-        )
+        n = len(self.names)
+        if len(given) != n:
+            what = f"positions, of {', '.join(self.names)}"
+            raise ParameterError.count("law.secondary.q_deg", n, what, list(given))
+        if not len(self.slides):
+            return np.radians(given)
+        return np.where(self.slides, given, np.radians(given))

@@ -7,7 +7,7 @@ are in `models/puma560.xml`.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Le
@@ -140,12 +140,12 @@ class Puma560(Arm):
     actuation: Literal["ideal", "industrial", "raw"] = "industrial"
     start: PumaStart = PumaStart()
     avoid_limits: Annotated[float, Ge(0), Le(10)] = 0.0
-    presets: ClassVar[Mapping[Level, Mapping[str, object]]] = PRESETS
-    file: ClassVar[str] = "puma560.xml"
-    chain: ClassVar[JointChain] = CHAIN
-    joints: ClassVar[tuple[str, ...]] = CHAIN.names
-    joint_speeds: ClassVar[Array] = SPEED_LIMITS
-    unit_m: ClassVar[float] = UPPER_ARM  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
+    presets = PRESETS
+    file = "puma560.xml"
+    chain = CHAIN
+    joints = CHAIN.names
+    joint_speeds = SPEED_LIMITS
+    unit_m = UPPER_ARM  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
 
     def __post_init__(self) -> None:
         self._check()

@@ -39,7 +39,6 @@ from vstestbed.robots.allocation import Allocation, Mount
 from vstestbed.robots.attitude import Attitude, Filter, Imu, heading_rate, level, to_body, to_level
 from vstestbed.robots.attitude import step as attitude_step
 from vstestbed.robots.base import (
-    Base,
     BodyFile,
     Onboard,
     Reading,
@@ -93,11 +92,10 @@ class FlightPose:
     @model_validator(mode="before")
     @classmethod
     def _from_matrix(cls, given: Any) -> Any:
-        return (
-            dict(zip(("xyz", "yaw_deg"), upright(given), strict=True))
-            if is_matrix(given)
-            else given
-        )
+        if not is_matrix(given):
+            return given
+        xyz, yaw_deg = upright(given)
+        return {"xyz": xyz, "yaw_deg": yaw_deg}
 
 
 @spec
@@ -146,14 +144,11 @@ class FlightLog(RobotLog):
         super().__init__(supervisor)
         estimate = (f"est_{name}" for name in ("roll", "pitch", "vx", "vy", "vz", "wx", "wy", "wz"))
         reference = (f"ref_{name}" for name in ("roll", "pitch", "wx", "wy", "wz"))
-        added = ("wind_x", "wind_y", "wind_z", *(f"speed_rotor_{name}" for name in ROTORS))
-        self.columns = (
-            *estimate,
-            *reference,
-            *added,
-            "supervisor",
-            *(("battery_v",) if battery else ()),
-        )
+        wind = ("wind_x", "wind_y", "wind_z")
+        speeds = (f"speed_rotor_{name}" for name in ROTORS)
+        self.columns = (*estimate, *reference, *wind, *speeds, "supervisor")
+        if battery:
+            self.columns += ("battery_v",)
 
     def row(self, state: RobotState) -> Array:
         reading = state.reading
@@ -164,18 +159,10 @@ class FlightLog(RobotLog):
         up = (-math.sin(pitch), math.cos(pitch) * math.sin(roll), math.cos(pitch) * math.cos(roll))
         estimate = reading.estimate
         velocity = to_level(level(up), tuple(estimate.velocity.tolist()))
-        loops = np.concatenate([estimate.rates, estimate.ref_tilt, estimate.ref_rates])
+        loops = (*estimate.rates, *estimate.ref_tilt, *estimate.ref_rates)
         speeds = np.sqrt(np.maximum(state.act, 0.0))  # activations are squared speeds
-        row = [
-            roll,
-            pitch,
-            *velocity,
-            *loops,
-            *state.wind,
-            *speeds,
-            self.supervisor.mode,
-            reading.voltage_v,
-        ]
+        row = [roll, pitch, *velocity, *loops, *state.wind, *speeds, self.supervisor.mode]
+        row.append(reading.voltage_v)  # the last column, where there is a battery
         return np.array(row[: len(self.columns)])
 
     def proprioception(self, log: Mapping[str, Array]) -> dict[str, Array]:
@@ -191,16 +178,10 @@ class FlightLog(RobotLog):
             strict=True,
         )
         velocities = zip(*(log[f"est_v{axis}"].tolist() for axis in "xyz"), strict=True)
-        body = np.array(
-            [to_body(level(z), v) for z, v in zip(up, velocities, strict=True)]
-        ).reshape(-1, 3)
+        body = [to_body(level(z), v) for z, v in zip(up, velocities, strict=True)]
+        vx, vy, vz = np.array(body).reshape(-1, 3).T
         rates = {f"w{axis}": log[f"est_w{axis}"] for axis in "xyz"}
-        return {
-            "roll": roll,
-            "pitch": pitch,
-            **dict(zip(("vx", "vy", "vz"), body.T, strict=True)),
-            **rates,
-        }
+        return {"roll": roll, "pitch": pitch, "vx": vx, "vy": vy, "vz": vz, **rates}
 
 
 # period of the flight loops, and the largest physics step, at which the rate loop is tuned [s]
@@ -262,21 +243,11 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
     max_yaw_rate_radps: PositiveRate = 0.8
 
     presets: ClassVar[Mapping[Level, Mapping[str, object]]] = {"lab": LAB, "field": FIELD}
-    proprioception_names: ClassVar[tuple[str, ...]] = (  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
-        "roll",
-        "pitch",
-        "range",
-        "vx",
-        "vy",
-        "vz",
-        "wx",
-        "wy",
-        "wz",
-    )
-    base: ClassVar[Base] = "floating"
-    reading: ClassVar[type[Reading]] = FlightReading
-    control_period_s: ClassVar[float] = STEP_S
-    first_setpoint: ClassVar[Array] = HOLD
+    proprioception_names = ("roll", "pitch", "range", "vx", "vy", "vz", "wx", "wy", "wz")  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
+    base = "floating"
+    reading = FlightReading
+    control_period_s = STEP_S
+    first_setpoint = HOLD
 
     def __post_init__(self) -> None:
         low = self.start.nominal.xyz[2]
@@ -284,7 +255,8 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
             raise ParameterError.bound(
                 "start.nominal.xyz.2", "at least", f"{LOWEST_M:g} m above the ground", low
             )
-        if self.gains.rotor_s > (lag := self.parameters.rotor_lag_s):
+        lag = self.parameters.rotor_lag_s
+        if self.gains.rotor_s > lag:
             words = f"{lag:g} s, the rotors' own lag (parameters.rotor_lag_s)"
             raise ParameterError.bound("gains.rotor_s", "at most", words, self.gains.rotor_s)
         self._check_hover()
@@ -299,30 +271,24 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
         if self.battery and share < least:
             words = (
                 f"leaves {share:.2g} of the ordered thrust at the start;"
-                f" the flight loops make up for {least:.2g} at least. Works:"
+                f" the flight loops make up for {least:.2g} at least."
+                " Works: more charge, or a lower reference_charge"
             )
-            raise ParameterError(
-                "battery.charge",
-                f"{words} more charge, or a lower reference_charge",
-                self.battery.charge,
-            )
-        if self.motors and self.motors.thrust:
-            front, right, back, left = self.motors.thrust
-            squares = hover_squares((front, right, back, left), craft)
-            for name, W, factor in zip(
-                ROTORS, squares, self.motors.limit or (1.0,) * 4, strict=True
-            ):
-                most = share * factor * craft.limit
-                if most < W:
-                    words = (
-                        f"makes the {name} rotor turn at {W**0.5:.4g} rad/s to hover,"
-                        f" beyond its {most**0.5:.4g}"
-                    )
-                    raise ParameterError(
-                        "motors.thrust",
-                        f"{words}; works: factors nearer to 1",
-                        list(self.motors.thrust),
-                    )
+            raise ParameterError("battery.charge", words, self.battery.charge)
+        motors = self.motors
+        if motors is None or motors.thrust is None:
+            return
+        front, right, back, left = motors.thrust
+        squares = hover_squares((front, right, back, left), craft)
+        factors = motors.limit or (1.0,) * 4
+        for name, W, factor in zip(ROTORS, squares, factors, strict=True):
+            most = share * factor * craft.limit
+            if most < W:
+                words = (
+                    f"makes the {name} rotor turn at {W**0.5:.4g} rad/s to hover,"
+                    f" beyond its {most**0.5:.4g}; works: factors nearer to 1"
+                )
+                raise ParameterError("motors.thrust", words, list(motors.thrust))
 
     @property
     def body(self) -> BodyFile:
@@ -344,8 +310,9 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
     @property
     def acting(self) -> tuple[Effect, ...]:
         """Its blocks together, and further ones."""
-        imperfect = any(getattr(self, name) is not None for name in LAB)
-        return (*((FlightEffects(self.parameters, self),) if imperfect else ()), *self.effects)
+        if all(getattr(self, name) is None for name in LAB):
+            return self.effects
+        return FlightEffects(self.parameters, self), *self.effects
 
     def configuration(self) -> Array:
         """The nominal start (x, y, z, yaw), [m, rad]."""
@@ -364,13 +331,8 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
     def started_at(self, configuration: Array) -> Quadrotor:
         """The same craft from another (x, y, z, yaw)."""
         x, y, z, yaw = configuration.tolist()
-        return replace(
-            self,
-            start=FlightStart(
-                nominal=FlightPose(xyz=(x, y, z), yaw_deg=math.degrees(yaw)),
-                random=self.start.random,
-            ),
-        )
+        nominal = FlightPose(xyz=(x, y, z), yaw_deg=math.degrees(yaw))
+        return replace(self, start=replace(self.start, nominal=nominal))
 
     def supervisor(self, lands: bool, lost_after_s: float, lost_after_m: float) -> Failsafe:
         return Failsafe(lost_after_s, lost_after_m, lands=lands)
@@ -405,16 +367,13 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
         speeds = np.array(
             [self.max_speed_mps, self.max_speed_mps, self.max_climb_mps, self.max_yaw_rate_radps]
         )
-        accelerations = np.array([level, level, climb, np.inf])
-        J = self.motion_basis(mount, reading.q)
-        most = math.radians(self.gains.tilt_deg)
         return OwnModel.of_motions(
             ("vx", "vy", "vz", "wz"),
-            J,
+            self.motion_basis(mount, reading.q),
             speeds,
-            accelerations,
+            np.array([level, level, climb, np.inf]),
             tilt=reading.tilt,
-            most_tilt_rad=most,
+            most_tilt_rad=math.radians(self.gains.tilt_deg),
         )
 
     @property
@@ -422,18 +381,13 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
         """Motors that are not listed, a wake that fluctuates, vibration, and the noise of its
         instruments.
         """
-        blocks = (
-            (self.motors is not None and self.motors.draws)
-            or self.downwash is not None
-            or self.vibration is not None
-        )
-        sigmas = (
-            self.imu.gyro_sigma_radps,
-            self.imu.accel_sigma_mps2,
-            self.velocity.sigma_mps,
-            self.range_sigma_m,
-        )
-        return blocks or any(sigmas)
+        if self.downwash is not None or self.vibration is not None:
+            return True
+        if self.motors is not None and self.motors.draws:
+            return True
+        imu = self.imu
+        sigmas = imu.gyro_sigma_radps, imu.accel_sigma_mps2, self.velocity.sigma_mps
+        return any(sigmas) or self.range_sigma_m > 0
 
     def instruments(self, rng: np.random.Generator) -> SensorModel:
         """MuJoCo's perfect sensors with noise and bias (10,) of gyro, accelerometer, velocity and
@@ -487,10 +441,8 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
         """
         share = self.battery.share_at_start(self.parameters) if self.battery else 1.0
         hover = self.parameters.hover / share
-        return Flight(
-            loops=Loops(trim=(0.0, 0.0, GRAVITY * (1.0 / share - 1.0))),
-            W=(hover, hover, hover, hover),
-        )
+        trim = 0.0, 0.0, GRAVITY * (1.0 / share - 1.0)
+        return Flight(loops=Loops(trim), W=(hover, hover, hover, hover))
 
     def actuate(
         self, state: Flight, setpoint: Array, reading: Instruments, dt: float
@@ -535,9 +487,9 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
         which shows at once; or, in a slow descent, the climb loop has taken thrust away, to under
         .9 of the weight.
         """
-        upright = math.cos(state.attitude.roll) * math.cos(state.attitude.pitch) > math.cos(
-            math.radians(30)
-        )
+        attitude = state.attitude
+        cosine = math.cos(attitude.roll) * math.cos(attitude.pitch)  # of the tilt
+        upright = cosine > math.cos(math.radians(30))
         # a margin for the range finder's noise and a few degrees of tilt
         near = reading.range_m < STANDING_M + 0.05
         # The estimate's noise is .02 m/s. By the rotors alone it takes .5 s and more; on a deck

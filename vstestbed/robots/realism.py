@@ -62,7 +62,8 @@ class Realistic(Robot):
     @classmethod
     def _fill(cls, given: Any) -> Any:
         """What is given, from a file or in Python, with the preset's values for the rest."""
-        values = dict(given.kwargs or {}) if isinstance(given, ArgsKwargs) else given
+        in_python = isinstance(given, ArgsKwargs)
+        values = (given.kwargs or {}) if in_python else given
         if not isinstance(values, Mapping):
             return given  # a robot already
         level: Level = values.get("realism", "none")
@@ -71,10 +72,10 @@ class Realistic(Robot):
         elif level not in LEVELS:
             return given  # which is refused
         else:
-            if isinstance(given, ArgsKwargs):
+            if in_python:
                 cls._refuse_another_level(level, values)
             own = cls._completed(level, values)
-        return ArgsKwargs((), own) if isinstance(given, ArgsKwargs) else own
+        return ArgsKwargs((), own) if in_python else own
 
     @classmethod
     def _completed(cls, level: Level, values: Mapping[str, Any]) -> dict[str, Any]:
@@ -126,6 +127,7 @@ class Realistic(Robot):
         """The same robot at another level, which fills anew what this one's level has filled; what
         differs from that stays.
         """
-        own: Any = brief_mapping(self)
-        block = own if isinstance(own, Mapping) else {}
+        block: Any = brief_mapping(self)
+        if not isinstance(block, Mapping):  # its word alone: all is default
+            block = {}
         return type(self)(**{**block, "realism": level})

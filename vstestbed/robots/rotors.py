@@ -98,35 +98,22 @@ class QuadrotorParameters:
             need = LEAST_THRUST_TO_WEIGHT / ratio
             words = (
                 f"leaves a thrust of {ratio:.3g} times the weight;"
-                f" to hover with a margin takes {LEAST_THRUST_TO_WEIGHT:g}. Works:"
+                f" to hover with a margin takes {LEAST_THRUST_TO_WEIGHT:g}."
+                f" Works: mass_kg up to {self.mass_kg / need:.3g},"
+                f" or thrust_coefficient from {self.thrust_coefficient * need:.3g},"
+                f" or rotor_speed_radps from {self.rotor_speed_radps * math.sqrt(need):.4g}"
             )
-            ways = (
-                f"mass_kg up to {self.mass_kg / need:.3g},"
-                f" or thrust_coefficient from {self.thrust_coefficient * need:.3g}"
-            )
-            raise ParameterError(
-                "mass_kg",
-                (
-                    f"{words} {ways}, or rotor_speed_radps from"
-                    f" {self.rotor_speed_radps * math.sqrt(need):.4g}"
-                ),
-            )
-        turn = (
-            2
-            * self.arm_m
-            * self.thrust_coefficient
-            * min(self.hover, self.limit - self.hover)
-            / max(self.inertia[:2])
-        )
+            raise ParameterError("mass_kg", words)
+        tilting = max(self.inertia[:2])
+        margin = min(self.hover, self.limit - self.hover)
+        turn = 2 * self.arm_m * self.thrust_coefficient * margin / tilting
         if turn < LEAST_TURN:
             words = (
                 f"lets the rotors turn the craft by {turn:.2g} rad/s^2,"
-                f" which takes {LEAST_TURN:g} to keep it level"
+                f" which takes {LEAST_TURN:g} to keep it level;"
+                f" works: moments up to {tilting * turn / LEAST_TURN:.3g}"
             )
-            raise ParameterError(
-                "inertia_kgm2",
-                f"{words}; works: moments up to {max(self.inertia[:2]) * turn / LEAST_TURN:.3g}",
-            )
+            raise ParameterError("inertia_kgm2", words)
 
     @cached_property
     def inertia(self) -> Vector:
@@ -182,19 +169,12 @@ class QuadrotorParameters:
         k = self.drag_coefficient
         wide = self.arm_m / X4.arm_m
         d = self.arm_m
+        drag = 1.5915 * (body_share * self.drag_area_m2 / X4.drag_area_m2)
         found: list[Change] = [
             (put, "body", "base", "mass", self.mass_kg),
             (put, "body", "base", "inertia", self.inertia),
+            (put, "geom", "air", "fluid_coefs", (drag,)),
         ]
-        found.append(
-            (
-                put,
-                "geom",
-                "air",
-                "fluid_coefs",
-                (1.5915 * (body_share * self.drag_area_m2 / X4.drag_area_m2),),
-            )
-        )
         for name, x, y, turn in (
             ("front", 1, 0, -1),
             ("right", 0, -1, 1),
@@ -203,27 +183,22 @@ class QuadrotorParameters:
         ):
             along = (d + HUB_M) / 2
             half = (d - HUB_M) / 2
+            place = x * d, y * d
+            leg = *_at(x, y, 0.14 * wide, -0.008), *_at(x, y, 0.22 * wide, -0.16)
             found += [
                 (put, "actuator", f"rotor_{name}", "gear", (0, 0, b, 0, 0, turn * k)),
                 (put, "actuator", f"rotor_{name}", "dynprm", (self.rotor_lag_s,)),
                 (put, "actuator", f"rotor_{name}", "ctrlrange", (0, self.limit)),
-                *(
-                    (put, "geom", f"{part}_{name}", "pos", (x * d, y * d))
-                    for part in ("motor", "disc", "blade")
-                ),
-                (put, "site", f"rotor_{name}", "pos", (x * d, y * d)),
+                (put, "geom", f"motor_{name}", "pos", place),
+                (put, "geom", f"disc_{name}", "pos", place),
+                (put, "geom", f"blade_{name}", "pos", place),
+                (put, "site", f"rotor_{name}", "pos", place),
                 (put, "geom", f"arm_{name}", "pos", (x * along, y * along)),
                 (put, "geom", f"arm_{name}", "size", (half, 0.011) if x else (0.011, half)),
                 (put, "geom", f"disc_{name}", "size", (self.rotor_radius_m,)),
                 (put, "geom", f"blade_{name}", "size", (self.rotor_radius_m - 0.005,)),
                 (put, "geom", f"foot_{name}", "pos", (x * 0.22 * wide, y * 0.22 * wide)),
-                (
-                    put,
-                    "geom",
-                    f"leg_{name}",
-                    "fromto",
-                    (*_at(x, y, 0.14 * wide, -0.008), *_at(x, y, 0.22 * wide, -0.16)),
-                ),
+                (put, "geom", f"leg_{name}", "fromto", leg),
             ]
         return tuple(found)
 
@@ -308,9 +283,10 @@ def speed_control(
         ub = clip(ub, 0.0, limit)
         uc = clip(uc, 0.0, limit)
         ud = clip(ud, 0.0, limit)
-    return (
+    after = (
         a + ahead * (ua - a),
         b + ahead * (ub - b),
         c + ahead * (uc - c),
         d + ahead * (ud - d),
-    ), (ua, ub, uc, ud)
+    )
+    return after, (ua, ub, uc, ud)

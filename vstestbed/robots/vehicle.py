@@ -24,7 +24,8 @@ from vstestbed.core.spec import spec
 from vstestbed.effects.base import Effect
 from vstestbed.effects.floor import UnevenFloor
 from vstestbed.effects.wheels import WheelSpread
-from vstestbed.robots.base import Base, Reading, RobotLog, RobotState, Supervisor, random_of
+from vstestbed.robots.allocation import Mount
+from vstestbed.robots.base import Reading, RobotLog, RobotState, Supervisor, random_of
 from vstestbed.robots.realism import Realistic
 
 PLANE = np.zeros((6, 3))
@@ -66,9 +67,8 @@ class GroundStart:
         """
         at = self.nominal
         box = random_of(self, "{x: .5, y: .5, heading_deg: 20}")
-        x, y, heading = (
-            rng.uniform(-1, 1, 3) * (box.x, box.y, box.heading_deg) + (at.x, at.y, at.heading_deg)
-        ).tolist()
+        off = rng.uniform(-1, 1, 3) * (box.x, box.y, box.heading_deg)
+        x, y, heading = (off + (at.x, at.y, at.heading_deg)).tolist()
         return GroundStart(nominal=GroundPose(x=x, y=y, heading_deg=heading), random=box)
 
 
@@ -100,8 +100,7 @@ class VehicleLog(RobotLog):
         x, y, heading = state.odometry
         c, s = self._turn
         dead_reckoning = np.array([c * x - s * y, s * x + c * y, heading]) + self._start
-        # Of the first frame there is no step.
-        slip = (0.0, 0.0) if self._before is None else _slip(self._before, state)
+        slip = _slip(self._before or state, state)
         self._before = state
         return np.concatenate(
             [place_of(state.T_world_base), state.place, dead_reckoning, slip, super().row(state)]
@@ -109,11 +108,10 @@ class VehicleLog(RobotLog):
 
     def proprioception(self, log: Mapping[str, Array]) -> dict[str, Array]:
         """Dead reckoning from the start: the inverse of what `row` does with it."""
-        x, y, heading = (
-            log[f"odo_{name}"] - at
-            for name, at in zip(("x", "y", "heading"), self._start, strict=True)
-        )
         c, s = self._turn
+        x = log["odo_x"] - self._start[0]
+        y = log["odo_y"] - self._start[1]
+        heading = log["odo_heading"] - self._start[2]
         return {"odo_x": c * x + s * y, "odo_y": c * y - s * x, "odo_heading": heading}
 
 
@@ -158,11 +156,10 @@ class Vehicle(Realistic):
     uneven_floor: UnevenFloor | None = None
 
     start: ClassVar[GroundStart]
-    imperfect_wheels: ClassVar[bool] = (
-        False  # Whether the class's model and drive follow the three fields of its wheels
-    )
-    base: ClassVar[Base] = "planar"
-    proprioception_names: ClassVar[tuple[str, ...]] = ("odo_x", "odo_y", "odo_heading")  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
+    # Whether the class's model and drive follow the three fields of its wheels
+    imperfect_wheels: ClassVar[bool] = False
+    base = "planar"
+    proprioception_names = ("odo_x", "odo_y", "odo_heading")  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
     # x of its rear and of its front end in the base frame [m]
     ends_m: ClassVar[tuple[float, float]] = (0.0, 0.0)
     turning_radius_m: ClassVar[float] = 0.0  # of its tightest circle [m]; 0: it turns on the spot
@@ -173,32 +170,29 @@ class Vehicle(Realistic):
 
     @model_validator(mode="after")
     def _refuse_what_it_has_not(self) -> Self:
-        for name in (
-            () if self.imperfect_wheels else ("wheel_spread", "rolling_resistance", "drive_lag_s")
-        ):
+        if self.imperfect_wheels:
+            return self
+        for name in ("wheel_spread", "rolling_resistance", "drive_lag_s"):
             if getattr(self, name) is not None:
-                raise ParameterError.only_for(
-                    name,
-                    (
-                        "robots whose class says `imperfect_wheels`,"
-                        f" and {type(self).__name__} does not"
-                    ),
-                )
+                able = "robots whose class says `imperfect_wheels`,"
+                raise ParameterError.only_for(name, f"{able} and {type(self).__name__} does not")
         return self
 
     @property
     def acting(self) -> tuple[Effect, ...]:
         """The floor that its wheels meet, and further ones."""
-        return (*((self.uneven_floor,) if self.uneven_floor is not None else ()), *self.effects)
+        if self.uneven_floor is None:
+            return self.effects
+        return self.uneven_floor, *self.effects
 
     @property
     def draws(self) -> bool:
         """Wheels whose errors are not listed, a floor whose seed is not given."""
         wheels = self.wheel_spread
         floor = self.uneven_floor
-        return (wheels is not None and wheels.sigma > 0) or (
-            floor is not None and floor.seed is None
-        )
+        if wheels is not None and wheels.sigma > 0:
+            return True
+        return floor is not None and floor.seed is None
 
     def drawn(self, rng: np.random.Generator) -> Self:
         """The same vehicle with wheels and a floor of its own, drawn from `rng`: each the same with
@@ -238,14 +232,24 @@ class Vehicle(Realistic):
         """The same vehicle from another place (x, y, heading)."""
         x, y, heading = configuration.tolist()
         nominal = GroundPose(x=x, y=y, heading_deg=math.degrees(heading))
-        return dataclasses.replace(
-            self, start=GroundStart(nominal=nominal, random=self.start.random)
-        )
+        return dataclasses.replace(self, start=dataclasses.replace(self.start, nominal=nominal))
+
+    def odometry(self, before: Reading, now: Reading, duration: float) -> Array:
+        """Mean motion (vx, vy, wz) of the base between two readings of its encoders."""
+        raise NotImplementedError
+
+    def measured_twist(
+        self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount
+    ) -> Array:
+        """Mean camera twist (6,) between two readings, from the encoders alone; zero where no time
+        has passed.
+        """
+        return mount.to_camera @ (PLANE @ self.odometry(before, now, duration))
 
     def lagged(self, now: Value, order: Value, dt: float) -> Value:
         """What the drive follows after dt [s] of an order, from what it follows now, (n,) each:
         y' = (order - y) / drive_lag_s, exactly.
         """
-        return (
-            order + (now - order) * math.exp(-dt / self.drive_lag_s) if self.drive_lag_s else order
-        )
+        if not self.drive_lag_s:
+            return order
+        return order + (now - order) * math.exp(-dt / self.drive_lag_s)

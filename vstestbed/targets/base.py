@@ -323,7 +323,7 @@ class Square(Target):
 
     kind: Literal["square"] = "square"
     side: PositiveLength
-    one_sided: ClassVar[bool] = True
+    one_sided = True
 
     def __post_init__(self) -> None:
         self._check_markers()

@@ -109,7 +109,7 @@ class GroundLines(Target):
     def stripes(self) -> tuple[tuple[Array, Array], ...]:
         """Left and right edge of each line in the target frame, each (K, 2) [m]."""
         half = self.marker.width_m / 2
-        (_, xy, heading, _) = self.route.samples
+        _, xy, heading, _ = self.route.samples
         return tuple(
             (_beside(xy, heading, offset + half), _beside(xy, heading, offset - half))
             for offset in self.offsets_m

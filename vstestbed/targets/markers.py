@@ -188,7 +188,7 @@ class Tag(Marker):
     first_id: Annotated[int, Ge(0), Lt(2320)] = 0
     lit: bool = True
     albedo: Share = 1.0
-    textured: ClassVar[bool] = True
+    textured = True
 
     @property
     def modules(self) -> int:

@@ -81,8 +81,8 @@ class Still(MotionBase):
     """It does not move."""
 
     kind: Literal["still"] = "still"
-    moves: ClassVar[bool] = False
-    by_itself: ClassVar[bool] = False
+    moves = False
+    by_itself = False
 
     def path(self, rng: np.random.Generator) -> Path:
         D = np.eye(4)  # one array for all times: nobody writes to a displacement
@@ -211,7 +211,7 @@ class RandomWalk(MotionBase):
     kind: Literal["random_walk"] = "random_walk"
     rms_m: Position
     corner_hz: Frequency = 0.2
-    draws: ClassVar[bool] = True
+    draws = True
 
     def path(self, rng: np.random.Generator) -> Path:
         F, chol = self.exact_step(DRAW_S)
@@ -277,7 +277,7 @@ class Carried(MotionBase):
     # 3 m/s is the largest speed limit that a car may have (`CarLimits`).
     speed_mps: Annotated[PositiveSpeed, TighterBounds(le=3)] = 0.5
     from_m: Length = 0.0
-    by_itself: ClassVar[bool] = False
+    by_itself = False
 
     @property
     def carrier(self) -> Carried:
@@ -298,8 +298,8 @@ class Held(MotionBase):
     """
 
     kind: Literal["held"] = "held"
-    by_itself: ClassVar[bool] = False
-    on_gripper: ClassVar[bool] = True
+    by_itself = False
+    on_gripper = True
 
     def start(self, pose: Array) -> Array:
         """The pose in the flange's frame; its place in the world depends on the robot

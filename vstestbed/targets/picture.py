@@ -8,7 +8,7 @@ from collections.abc import Callable
 from copy import copy
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from annotated_types import Ge, Gt, Le, Len
@@ -238,7 +238,7 @@ class PictureTarget(Target):
     lit: bool = True
     albedo: Annotated[float, Gt(0), Le(1)] = 1.0
     gloss: Annotated[float, Ge(0), Le(1)] = 0.0
-    one_sided: ClassVar[bool] = True
+    one_sided = True
 
     def __post_init__(self) -> None:
         # frozen; a run remembers where its picture is

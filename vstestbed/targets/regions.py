@@ -276,7 +276,7 @@ class DiscFigure(Figure):
 
     kind: Literal["disc"] = "disc"
     radius: PositiveLength
-    round: ClassVar[bool] = True
+    round = True
 
     @cached_property
     def corners(self) -> Array:
@@ -378,7 +378,7 @@ class OneRegion(Target):
     marker: Outline = Outline()
     hue_deg: Angle = 0.0
     count: Annotated[int, Ge(12), Le(96)] = 32
-    outlined: ClassVar[bool] = True
+    outlined = True
 
     def __post_init__(self) -> None:
         if self.names:
@@ -412,7 +412,7 @@ class Shape(OneRegion):
 
     kind: Literal["shape"] = "shape"
     figure: Annotated[Figure, FIGURES]
-    one_sided: ClassVar[bool] = True
+    one_sided = True
 
     @cached_property
     def points(self) -> Array:

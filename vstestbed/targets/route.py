@@ -44,7 +44,7 @@ class Route(ABC):
     @cached_property
     def samples(self) -> Samples:
         """The table in the world."""
-        (s, xy, heading, curvature) = self._local()
+        s, xy, heading, curvature = self._local()
         h = self.start.heading
         R = np.array([[np.cos(h), -np.sin(h)], [np.sin(h), np.cos(h)]])
         return s, xy @ R.T + [self.start.x, self.start.y], heading + h, curvature
@@ -65,7 +65,7 @@ class Route(ABC):
 
         A closed route is periodic; an open one continues straight beyond both ends.
         """
-        (way, xy, turned, bent) = self.samples
+        way, xy, turned, bent = self.samples
         s = np.asarray(s, dtype=float)
         # Not np.mod: the number of laps is needed for the heading, too.
         rounds = np.floor(s / self.length) if self.closed else np.zeros_like(s)

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -86,8 +86,8 @@ Settle = Time
 class Continuing(Task):
     """Defaults of continuing tasks; `band_m` and `settle_s` are fields of each."""
 
-    continuing: ClassVar[bool] = True
-    ends: ClassVar[Outcome] = Outcome.completed
+    continuing = True
+    ends = Outcome.completed
     band_m: Any  # a field of each task, with its own default
 
     @property

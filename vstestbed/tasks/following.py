@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -15,7 +15,6 @@ from vstestbed.core.quantity import Length, PositiveLength
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal
 from vstestbed.robots import VEHICLES
-from vstestbed.robots.base import Base
 from vstestbed.robots.vehicle import Vehicle
 from vstestbed.targets import GroundLines, Target
 from vstestbed.targets.route import Route
@@ -51,9 +50,9 @@ class GoalGap(Continuing):
     gap_m: PositiveLength
     band_m: Tolerance | None = None
     settle_s: Settle = 8.0
-    asks: ClassVar[str] = "gap"
-    bases: ClassVar[frozenset[Base]] = frozenset({"planar"})
-    needs_pose: ClassVar[bool] = True
+    asks = "gap"
+    bases = frozenset({"planar"})
+    needs_pose = True
 
     @property
     def tolerance_m(self) -> float:
@@ -170,8 +169,8 @@ class GoalLine(Continuing):
     offset_m: Length = 0.0
     band_m: Tolerance = 0.05
     settle_s: Settle = 5.0
-    asks: ClassVar[str] = "line"
-    bases: ClassVar[frozenset[Base]] = frozenset({"planar"})
+    asks = "line"
+    bases = frozenset({"planar"})
 
     def check(self, setup: Setup) -> None:
         """The target must be lines with bends that the vehicle can follow, at a speed within its

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Annotated, ClassVar, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from annotated_types import Gt, Le
@@ -25,7 +25,7 @@ from vstestbed.core.quantity import (
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.robots.arm import Arm
-from vstestbed.robots.base import Base, Supervisor
+from vstestbed.robots.base import Supervisor
 from vstestbed.targets import Target
 from vstestbed.tasks.base import Log, Task, view_from
 from vstestbed.tasks.frame import Frame
@@ -97,9 +97,9 @@ class GoalInsertion(Task):
     limit_n: Force = 200.0
     jam_s: PositiveTime = 3.0
     seat_s: Time = 0.0
-    bases: ClassVar[frozenset[Base]] = frozenset({"fixed"})
-    needs_still: ClassVar[bool] = True
-    ends: ClassVar[Outcome] = Outcome.inserted
+    bases = frozenset({"fixed"})
+    needs_still = True
+    ends = Outcome.inserted
 
     def check(self, setup: Setup) -> None:
         """The arm must have a plug, the target a socket that takes it, and the law a pose to be in

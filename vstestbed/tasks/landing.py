@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.core.quantity import PositiveAngle, PositiveLength, PositiveSpeed
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.robots.base import Base, Supervisor
+from vstestbed.robots.base import Supervisor
 from vstestbed.targets import Target
 from vstestbed.tasks.base import Log, Task, view_from
 from vstestbed.tasks.frame import Frame
@@ -59,11 +59,11 @@ class GoalLanding(Task):
     commit_m: PositiveLength = 0.4
     pad_m: PositiveLength = 0.2
     touch_mps: PositiveSpeed = 0.5
-    asks: ClassVar[str] = "landing"
-    bases: ClassVar[frozenset[Base]] = frozenset({"floating"})
-    lands: ClassVar[bool] = True
-    ends: ClassVar[Outcome] = Outcome.landed
-    view_fields: ClassVar[tuple[str, ...]] = ("goal.above",)
+    asks = "landing"
+    bases = frozenset({"floating"})
+    lands = True
+    ends = Outcome.landed
+    view_fields = ("goal.above",)
 
     def check(self, setup: Setup) -> None:
         super().check(setup)

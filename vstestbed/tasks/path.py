@@ -18,7 +18,6 @@ from vstestbed.core.spec import spec
 from vstestbed.features import ThetaU
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.robots import Robot
-from vstestbed.robots.base import Base
 from vstestbed.targets import Target
 from vstestbed.tasks.base import GoalPicture, Log, Task, view_from
 from vstestbed.tasks.continuing import Continuing, Settle, Tolerance
@@ -98,10 +97,10 @@ class GoalPath(_Views, Continuing):  # pyright: ignore[reportIncompatibleVariabl
     lead_s: Time = 0.5
     band_m: Tolerance = 0.15
     settle_s: Settle = 10.0
-    asks: ClassVar[str] = "path"
-    bases: ClassVar[frozenset[Base]] = frozenset({"floating"})
-    by_clock: ClassVar[bool] = True
-    listed: ClassVar[str] = "way"
+    asks = "path"
+    bases = frozenset({"floating"})
+    by_clock = True
+    listed = "way"
 
     @cached_property
     def _ways(self) -> tuple[Array, ...]:
@@ -254,7 +253,7 @@ class GoalViews(_Views):
     threshold_px: PositivePixels = 10.0
     speed_mps: PositiveSpeed | None = None
     turn_degps: PositiveRateDeg = 45.0
-    listed: ClassVar[str] = "views"
+    listed = "views"
 
     def __post_init__(self) -> None:
         """Refuse a single view."""

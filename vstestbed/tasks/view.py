@@ -5,7 +5,7 @@ target.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Len, Lt
@@ -17,7 +17,6 @@ from vstestbed.core.registry import Registry
 from vstestbed.core.spec import Shorthand, spec
 from vstestbed.features.observation import Goal
 from vstestbed.robots import Mount
-from vstestbed.robots.base import Base
 from vstestbed.targets import Name, Target
 from vstestbed.tasks.base import GoalPicture, Task
 from vstestbed.tasks.continuing import Continuing, Settle, Tolerance
@@ -41,7 +40,7 @@ class GoalView(Task):
     T_camera_target: Pose
     markers: Annotated[tuple[Annotated[int, Ge(0), Lt(24)] | Name, ...], Len(1, 24)] | None = None
     picture: Annotated[GoalPicture, Shorthand("file")] = GoalPicture()
-    view_fields: ClassVar[tuple[str, ...]] = ("goal.T_camera_target",)
+    view_fields = ("goal.T_camera_target",)
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
         return (self.T_camera_target.T,)
@@ -104,9 +103,9 @@ class GoalViewFrom(Task):
     kind: Literal["view_from"] = "view_from"
     view_from: GroundPose
     picture: Annotated[GoalPicture, Shorthand("file")] = GoalPicture()
-    view_fields: ClassVar[tuple[str, ...]] = ("goal.view_from",)
-    bases: ClassVar[frozenset[Base]] = frozenset({"planar"})
-    needs_still: ClassVar[bool] = True
+    view_fields = ("goal.view_from",)
+    bases = frozenset({"planar"})
+    needs_still = True
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
         return (inverse(self.view_from.T @ mount) @ target.pose.T,)
@@ -140,10 +139,10 @@ class GoalPlace(Task):
 
     kind: Literal["pose"] = "pose"
     pose: GroundPose
-    asks: ClassVar[str] = "pose"
-    bases: ClassVar[frozenset[Base]] = frozenset({"planar"})
-    needs_pose: ClassVar[bool] = True
-    needs_still: ClassVar[bool] = True
+    asks = "pose"
+    bases = frozenset({"planar"})
+    needs_pose = True
+    needs_still = True
 
     def check(self, setup: Setup) -> None:
         """The goal must be judged by the estimate, with a threshold beyond the distance at which
@@ -193,7 +192,7 @@ class GoalTrack(Continuing):
     T_camera_target: Pose
     band_m: Tolerance = 0.05
     settle_s: Settle = 5.0
-    view_fields: ClassVar[tuple[str, ...]] = ("goal.T_camera_target",)
+    view_fields = ("goal.T_camera_target",)
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
         return (self.T_camera_target.T,)
