@@ -7,13 +7,12 @@ those that match a pattern (`--again 'compare *'`). What changed on a page is sa
 from __future__ import annotations
 
 import argparse
-import difflib
 import fnmatch
 import sys
 from pathlib import Path
 
 from docs.build.kept import FOLDER, Kept, place_of
-from docs.build.render import REPOSITORY, pages, rendered
+from docs.build.render import REPOSITORY, differences, filled, pages
 from vstestbed.core.files import write_whole
 
 
@@ -31,13 +30,10 @@ def main() -> None:
     )
     for page in asked.page or pages():
         place = REPOSITORY / page
-        before = place.read_text(encoding="utf-8") if place.is_file() else ""
-        now = rendered(page, kept)
-        for line in difflib.unified_diff(
-            before.splitlines(), now.splitlines(), str(page), str(page), lineterm="", n=0
-        ):
+        before = place.read_text(encoding="utf-8")
+        now = filled(before, kept)
+        for line in differences(page, before, now):
             sys.stdout.write(line + "\n")
-        place.parent.mkdir(parents=True, exist_ok=True)
         write_whole(place, now)
     if not asked.page:
         for file in set(FOLDER.glob("*.json")) - {place_of(command) for command in kept.used}:

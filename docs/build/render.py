@@ -1,15 +1,36 @@
-"""A page from its source: Jinja templates in `docs/sources/`, laid out as the pages are, with the
-results of commands in them.
+"""The rendered parts of the pages, filled in place with the results of commands.
 
-{{ run("arm_ibvs").time_to_converge_s | n(1) }} s
-{% set rows = command("compare arm_laws") %} {{ rows | where(scenario="arm_pbvs") | reached }}
-{{ under("run arm_ibvs", "compare arm_laws") }}
+A page is edited as it is. What it shows of a result stands between two comments, and those before
+it say by Jinja what it is:
+
+<!-- values
+arm = run("arm_ibvs")
+time = arm.time_to_converge_s | n(1)
+-->
+The arm converges after <!--time-->17.3<!--/--> s.
+
+<!-- build
+| law | converged |
+|---|---|
+{% for law in laws | each("law") %}
+| `{{ law }}` | {{ laws | where(law=law) | reached }} |
+{% endfor %}
+-->
+...
+<!-- end -->
+
+<!-- build: under("run arm_ibvs") -->
+...
+<!-- end -->
 """
 
 from __future__ import annotations
 
+import difflib
 import functools
+import itertools
 import math
+import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -46,100 +67,140 @@ from vstestbed.studies.comparison.folder import results_of
 from vstestbed.tasks.metrics import KNOWN, RUN_COLUMNS, own_metrics
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-SOURCES = REPOSITORY / "docs" / "sources"
+FOLDERS = ("docs", "scenarios", "models", "tests", "vstestbed")
+"""Those with pages."""
+MARK = re.compile(
+    r"(^<!-- (?:values|build)\b.*?-->\n|^<!-- end -->\n|<!--[a-z][\w.]*-->|<!--/-->)",
+    re.MULTILINE | re.DOTALL,
+)
+BLOCK_END, VALUE_END = "<!-- end -->\n", "<!--/-->"
+VALUE = re.compile(r"^(\w+) = (.+(?:\n +.+)*)", re.MULTILINE)
+"""A line of the block of values; lines that are indented go on with it."""
 
 
 def pages() -> list[Path]:
-    """The pages that have a source, relative to the repository."""
-    return sorted(
-        path.relative_to(SOURCES) for path in SOURCES.rglob("*.md") if not path.name.startswith("_")
-    )
+    """The pages, relative to the repository."""
+    found = [*REPOSITORY.glob("*.md")]
+    for folder in FOLDERS:
+        found += (REPOSITORY / folder).rglob("*.md")
+    return sorted(page.relative_to(REPOSITORY) for page in found)
 
 
-def rendered(page: Path, kept: Kept) -> str:
-    """The text of a page."""
-    return template(page, kept).render()
+def shown(text: str) -> str:
+    """What a reader sees of a page: its text without the marks."""
+    return "".join(MARK.split(text)[::2])
 
 
-def template(page: Path, kept: Kept) -> jinja2.Template:
-    """The source of a page, with all that sources may call."""
+def filled(text: str, kept: Kept) -> str:
+    """The text of a page, with its rendered parts as they are now."""
+    return "".join(mark + words for mark, words in parts(text, kept))
+
+
+def differences(page: Path, before: str, now: str) -> list[str]:
+    """What differs between two texts of a page, line by line; [] where nothing does."""
+    lines = before.splitlines(), now.splitlines()
+    return [*difflib.unified_diff(*lines, str(page), str(page), lineterm="", n=0)]
+
+
+def parts(text: str, kept: Kept) -> Iterator[tuple[str, str]]:
+    """The marks of a page in their order, each with the words that follow it now; before them what
+    follows no mark.
+
+    Raises:
+        ValueError: a mark is not closed, or closes nothing, or has another form.
+    """
+    first, *rest = MARK.split(text)
+    marks, texts = rest[::2], rest[1::2]
+    for mark, following in itertools.pairwise(["", *marks, ""]):
+        if closing_of(mark) != (following if following in (BLOCK_END, VALUE_END) else ""):
+            raise ValueError(f"a mark is missing between {mark!r} and {following!r}")
+    environment = environment_of(kept)
+    names: dict[str, Any] = {}
+    yield "", first
+    for mark, words in zip(marks, texts, strict=True):
+        if mark in (BLOCK_END, VALUE_END):
+            yield mark, words
+            continue
+        try:
+            module = environment.from_string(jinja_of(mark)).make_module(names)
+        except Exception as error:  # of all that a page may call; raised again with its place
+            error.add_note(mark)
+            raise
+        names |= {name: value for name, value in vars(module).items() if name[0] != "_"}
+        yield mark, written(str(module), mark, words)
+
+
+def closing_of(mark: str) -> str:
+    """The mark that must come next; "" where it may be any that opens."""
+    if mark.startswith("<!-- build"):
+        return BLOCK_END
+    return VALUE_END if re.match(r"<!--\w", mark) else ""
+
+
+def jinja_of(mark: str) -> str:
+    """The template that a mark stands for."""
+    words = mark.strip().removeprefix("<!--").removesuffix("-->")
+    if words.startswith(" values\n"):
+        return VALUE.sub(r"{% set \1 = \2 %}", words.removeprefix(" values\n"))
+    if words.startswith(" build\n"):
+        return words.removeprefix(" build\n")
+    return "{{" + words.removeprefix(" build:") + "}}"
+
+
+def written(result: str, mark: str, words: str) -> str:
+    """A result as it stands behind its mark, where `words` stand now.
+
+    Raises:
+        ValueError: a block of values has a line that is none.
+    """
+    closing = closing_of(mark)
+    if closing == BLOCK_END:
+        rows = result.strip("\n")
+        return rows and f"{rows}\n"
+    if closing == VALUE_END:  # which may begin a line, as a comment may not
+        return words[: len(words) - len(words.lstrip())] + result
+    if result.strip():
+        raise ValueError(f"no line `name = expression`: {result.strip()}")
+    return words
+
+
+def environment_of(kept: Kept) -> jinja2.Environment:
+    """What the marks of a page may call."""
     made = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(SOURCES),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        autoescape=False,
+        undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    made.globals.update(
-        command=kept,
-        run=lambda words: kept(f"run {words}"),
-        scenarios=scenarios,
-        comparisons=comparisons,
-    )
-    made.globals.update(
-        other_robots=lambda: sorted(
-            {s.robot.kind for s in _bundled()}
-            - {"free", "puma560", "mjcf", "omni", "car", "quadrotor"}
+    made.filters |= {
+        filter.__name__: filter
+        for filter in (
+            *(differs, each, effects, failed, failed_seeds, in_reach, interval, judged, least),
+            *(least_gain, median, ratios, reached, same_starts, shifted, tasks, typical, where),
+            worst,
         )
-    )
-    made.globals.update(
-        fields=parameters.fields,
-        puma_links=parameters.puma_links,
-        puma_joints=parameters.puma_joints,
-        arm_preset=parameters.arm_preset,
-        strain_waves=parameters.strain_waves,
-    )
-    made.globals.update(
-        geom=parameters.geom,
-        joint=parameters.joint,
-        actuator=parameters.actuator,
-        mass=parameters.mass,
-    )
-    made.globals.update(
-        preset=parameters.preset,
-        gain_of=gain_of,
-        sentences=lambda command: sentences(kept(command), command),
-    )
-    made.globals.update(
-        log_columns=column_texts, summary_numbers=lambda: (*KNOWN.values(), *own_metrics().values())
-    )
-    made.globals.update(
-        table_columns=RUN_COLUMNS.items,
-        suite=functools.cache(Suite),
-        verdicts=functools.cache(Verdicts),
-    )
-    made.globals.update(plan=plan, needed=functools.cache(vs.starts_needed))
-    made.globals.update(
-        grey_kb=(REPOSITORY / "scenarios" / "policies" / "grey.npz").stat().st_size / 1e3
-    )
-    made.filters.update(judged=judged, g=parameters.plain)
-    made.filters.update(
-        n=number,
-        where=where,
-        reached=reached,
-        typical=typical,
-        worst=worst,
-        least=least,
-        range=span,
-        median=median,
-    )
-    made.filters.update(
-        differs=differs,
-        shifted=shifted,
-        failed=failed,
-        failed_seeds=failed_seeds,
-        tasks=tasks,
-        least_gain=least_gain,
-        ratios=ratios,
-        each=each,
-        effects=effects,
-        same_starts=same_starts,
-        in_reach=in_reach,
-        interval=interval,
-    )
-    made.globals.update(under=conditions_line, conditions=conditions)
-    return made.get_template(page.as_posix())
+    }
+    made.filters |= {"code": "`{}`".format, "g": parameters.plain, "n": number, "range": span}
+    made.globals |= {
+        function.__name__: function
+        for function in (
+            *(comparisons, conditions, gain_of, plan, scenarios),
+            *(parameters.actuator, parameters.arm_preset, parameters.fields, parameters.geom),
+            *(parameters.joint, parameters.mass, parameters.preset, parameters.puma_joints),
+            *(parameters.puma_links, parameters.strain_waves),
+        )
+    }
+    made.globals |= {
+        "command": kept,
+        "grey_kb": (REPOSITORY / "scenarios" / "policies" / "grey.npz").stat().st_size / 1e3,
+        "log_columns": column_texts,
+        "needed": functools.cache(vs.starts_needed),
+        "run": lambda words: kept(f"run {words}"),
+        "sentences": lambda command: sentences(kept(command), command),
+        "suite": functools.cache(Suite),
+        "summary_numbers": lambda: (*KNOWN.values(), *own_metrics().values()),
+        "table_columns": RUN_COLUMNS.items,
+        "under": conditions_line,
+        "verdicts": functools.cache(Verdicts),
+    }
+    return made
 
 
 def scenarios(robots: Iterable[str]) -> list[tuple[str, str]]:

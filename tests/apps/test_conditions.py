@@ -14,7 +14,7 @@ import pytest
 
 from docs.build.conditions import LINE, conditions, conditions_line
 from docs.build.kept import Kept
-from docs.build.render import REPOSITORY, SOURCES, template
+from docs.build.render import REPOSITORY, parts
 
 FOLDERS = [REPOSITORY / "docs" / "exercises", REPOSITORY / "docs" / "results"]
 MEASURED = sorted(
@@ -141,59 +141,43 @@ class Noted(Kept):
 
 @dataclass(frozen=True)
 class Shown:
-    """A page's text, the commands whose values are read with the place in the text where they are,
-    and its source.
+    """A page's text, and the commands whose values are read with the place in the text where they
+    are.
     """
 
     text: str
     read: list[tuple[int, str]]
-    source: str
 
     @classmethod
     def of(cls, page: Path) -> Shown:
-        """A page as it is rendered; one without a source as it stands."""
-        if not (SOURCES / page).is_file():
-            return cls((REPOSITORY / page).read_text(encoding="utf-8"), [], "")
-        kept, text, read = Noted(), "", []
-        for piece in template(page, kept).generate():
+        """A page as it is filled."""
+        kept, text, read = Noted(), "", list[tuple[int, str]]()
+        for _, words in parts((REPOSITORY / page).read_text(encoding="utf-8"), kept):
             read += [(len(text), command) for command in dict.fromkeys(kept.read)]
             kept.read.clear()
-            text += piece
-        return cls(text, read, (SOURCES / page).read_text(encoding="utf-8"))
+            text += words
+        return cls(text, read)
 
     def between(self, start: int, end: int) -> set[str]:
         """The commands whose values are read for a part of the text."""
         return {command for place, command in self.read if start <= place < end}
 
 
-def parts(text: str) -> Iterator[tuple[str, int, int]]:
+def sections(text: str) -> Iterator[tuple[str, int, int]]:
     """The sections of a page, from a heading to the next one of any level: heading, start, end."""
     found = list(HEADING.finditer(text))
     for i, one in enumerate(found):
         yield one[0], one.start(), found[i + 1].start() if i + 1 < len(found) else len(text)
 
 
-def inputs(source: str) -> Iterator[str]:
-    """How the tables of a source begin that hold inputs alone, up to what is rendered."""
-    for paragraph in source.split("\n\n"):
-        rows = [line for line in paragraph.splitlines() if line.startswith("|")]
-        if (
-            rows
-            and "{# given:" in paragraph
-            and len(begin := rows[0].partition("{")[0]) > len("| |")
-        ):
-            yield begin
-
-
 def without_conditions(shown: Shown) -> Iterator[str]:
     """The sections and tables of a page whose numbers have no conditions, in words."""
-    sources = {heading: shown.source[start:end] for heading, start, end in parts(shown.source)}
-    for heading, start, end in parts(shown.text):
+    for heading, start, end in sections(shown.text):
         words = shown.text[start:end]
         for command in sorted(shown.between(start, end)):
             if conditions(command) not in words:
                 yield f"{heading}: numbers of `{command}`"
-        stated = LINE in words or "{# no run:" in sources.get(heading, "")
+        stated = LINE in words or "<!-- no run:" in words
         if (
             not stated
             and not shown.between(start, end)
@@ -205,16 +189,19 @@ def without_conditions(shown: Shown) -> Iterator[str]:
             )
     for table in re.finditer(r"^\|.*\n(?:\|.*\n)+", shown.text, re.MULTILINE):
         first = table[0].partition("\n")[0]
-        given = any(first.startswith(begin) for begin in inputs(shown.source))
         read = shown.between(table.start(), table.end())
+        before = shown.text[: table.start()]
+        given = before.rpartition("\n\n")[2].startswith("<!-- given:")
         if not read and (given or not NUMBER.search(table[0])):
             continue
-        heading = [one for one, start, _ in parts(shown.text) if start < table.start()][-1]
+        heading, start, end = [one for one in sections(shown.text) if one[1] < table.start()][-1]
         beside = [
-            shown.text[: table.start()].rstrip().rpartition("\n")[2],
+            re.sub(r"^<!-- given.*-->\n", "", before, flags=re.MULTILINE)
+            .rstrip()
+            .rpartition("\n")[2],
             shown.text[table.end() :].lstrip().partition("\n")[0],
         ]
-        if "no run:" in "".join(sources.get(heading, "")):
+        if "<!-- no run:" in shown.text[start:end]:
             continue
         if not any(one.startswith(LINE) for one in beside) and "conditions" not in first:
             yield f"{heading}: table `{first[:60]}`"
@@ -241,13 +228,7 @@ def test_the_check_finds_numbers_without_their_conditions(
     text: str, read: list[str], missing: int
 ) -> None:
     assert (
-        len(
-            list(
-                without_conditions(
-                    Shown(text, [(text.index("|"), command) for command in read], "")
-                )
-            )
-        )
+        len(list(without_conditions(Shown(text, [(text.index("|"), command) for command in read]))))
         == missing
     )
 
@@ -255,14 +236,12 @@ def test_the_check_finds_numbers_without_their_conditions(
 @pytest.mark.parametrize("page", MEASURED, ids=lambda page: page.stem)
 def test_every_number_and_every_table_has_its_conditions(page: Path) -> None:
     if page.as_posix() in NO_RUNS:
-        assert not (SOURCES / page).is_file() or not Shown.of(page).read, (
-            f"{page} reads runs: it is none of NO_RUNS any more"
-        )
+        assert not Shown.of(page).read, f"{page} reads runs: it is none of NO_RUNS any more"
         return
     missing = list(without_conditions(Shown.of(page)))
     assert not missing, "\n".join(
         [
-            f"{page}: these have no conditions (docs/build/conditions.py, {{{{ under(...) }}}}):",
+            f"{page}: these have no conditions (say them by <!-- build: under(...) -->):",
             *missing,
         ]
     )

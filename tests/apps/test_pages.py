@@ -1,5 +1,5 @@
-"""The pages: made from their sources and from kept results; their commands parse, their scenarios
-exist, their links lead somewhere.
+"""The pages: their rendered parts are those of the kept results; their commands parse, their
+scenarios exist, their links lead somewhere.
 """
 
 from __future__ import annotations
@@ -15,25 +15,21 @@ from typing import Any
 import polars as pl
 import pytest
 import typer.main
+from jinja2 import UndefinedError
 from typer.testing import CliRunner
 
 import vstestbed as vs
 from docs.build.kept import FOLDER, Kept, place_of
-from docs.build.render import REPOSITORY, SOURCES, pages, rendered
+from docs.build.render import MARK, REPOSITORY, differences, filled, pages, shown
 from docs.build.suite import PLACE, Suite
 from tests.scenario.schemas import whole_schema
 from vstestbed.cli.app import program
 from vstestbed.cli.options import settings_of
+from vstestbed.core.named_files import bundled_scenarios
 
-PAGES = sorted(
-    page.relative_to(REPOSITORY)
-    for pattern in (
-        "*.md",
-        *(f"{top}/**/*.md" for top in ("docs", "scenarios", "models", "vstestbed", "tests")),
-    )
-    for page in REPOSITORY.glob(pattern)
-    if SOURCES not in page.parents
-)
+TEXTS = {page: (REPOSITORY / page).read_text(encoding="utf-8") for page in pages()}
+PAGES = {page: shown(text) for page, text in TEXTS.items()}
+"""What a reader sees of each."""
 READ = [page for page in PAGES if page.name not in ("CHANGELOG.md", "CONTRIBUTING.md")]
 """Their commands are carried out: not those of the history, nor those with a contributor's own
 names.
@@ -43,8 +39,11 @@ WHOLE = {"list", "schema", "doctor"}
 """Commands that need no more words; others without any are spoken of, not given."""
 SHORT = {"list", "schema", "describe", "doctor"}
 """Commands that take a second; those of the pages are carried out."""
-NOT_LITERAL = re.compile(r"\{\{.*?\}\}|\{%.*?%\}|`[^`]*`|\]\([^)]*\)")
-"""What is no literal number in a line of a source: expressions, statements, code, links."""
+NOT_LITERAL = re.compile(r"`[^`]*`|\]\([^)]*\)")
+"""What is no literal number in a line: code, links."""
+RENDERED = re.compile(
+    r"^<!-- build.*?^<!-- end -->\n|<!--[a-z][\w.]*-->.*?<!--/-->", re.MULTILINE | re.DOTALL
+)
 
 
 def commands(text: str) -> Iterator[list[str]]:
@@ -62,26 +61,61 @@ def commands(text: str) -> Iterator[list[str]]:
                 yield words
 
 
-def test_pages_are_what_their_sources_and_the_kept_results_give_and_no_result_is_left_over() -> (
-    None
-):
-    kept, other = Kept(may_run=False), []
-    for page in pages():
-        other += (
-            [str(page)]
-            if rendered(page, kept) != (REPOSITORY / page).read_text(encoding="utf-8")
-            else []
-        )
-    assert not other, f"python -m docs.build makes them again: {', '.join(other)}"
+def test_rendered_parts_are_what_the_kept_results_give_and_no_result_is_left_over() -> None:
+    kept, other = Kept(may_run=False), list[str]()
+    for page, text in TEXTS.items():
+        other += differences(page, text, filled(text, kept))
+    assert not other, "\n".join(["python -m docs.build fills these anew:", *other])
     places = [place_of(command) for command in kept.used]
     assert len(places) == len(set(places)) and set(places) == set(FOLDER.glob("*.json"))
 
 
+def test_no_line_begins_with_the_mark_of_a_value_since_it_would_be_html_to_its_end() -> None:
+    for page, text in TEXTS.items():
+        assert not re.findall(r"^ *<!--(?:[a-z][\w.]*|/)-->.*", text, re.MULTILINE), page
+
+
+@pytest.mark.parametrize(
+    ("text", "now"),
+    [
+        ("It takes <!--time-->9<!--/--> s.\n", "It takes <!--time-->2.5<!--/--> s.\n"),
+        ("It takes<!--time-->\n9<!--/--> s.\n", "It takes<!--time-->\n2.5<!--/--> s.\n"),
+        ("<!-- build: time -->\n<!-- end -->\n", "<!-- build: time -->\n2.5\n<!-- end -->\n"),
+        (
+            "<!-- build\n{% for i in [1, 2] %}\n| {{ i }} |\n{% endfor %}\n-->\n| 0 |\n"
+            "<!-- end -->\n",
+            "<!-- build\n{% for i in [1, 2] %}\n| {{ i }} |\n{% endfor %}\n-->\n| 1 |\n| 2 |\n"
+            "<!-- end -->\n",
+        ),
+    ],
+)
+def test_what_stands_between_two_marks_is_filled(text: str, now: str) -> None:
+    values = "<!-- values\nhalf = 1.25\ntime = (2 *\n  half) | n(1)\n-->\n"
+    assert filled(values + text, Kept(may_run=False)) == values + now
+    assert shown(values + now) == re.sub(r"^<!--.*?-->\n|<!--.*?-->", "", now, flags=MARK.flags)
+
+
+def test_a_mark_that_is_not_closed_or_not_known_is_named() -> None:
+    for text, words in (
+        ("<!--time-->9 s.\n<!--other-->1<!--/-->", "missing between '<!--time-->'"),
+        ("<!-- build: 1 -->\n1\n", "missing between '<!-- build: 1 -->"),
+        ("9<!--/--> s.\n", "missing between '' and '<!--/-->'"),
+        ("<!-- values\ntime: 9\n-->\n", "no line `name = expression`: time: 9"),
+    ):
+        with pytest.raises(ValueError, match=re.escape(words)):
+            filled(text, Kept(may_run=False))
+    with pytest.raises(UndefinedError, match="'time' is undefined") as told:
+        filled("It takes <!--time-->9<!--/--> s.\n", Kept(may_run=False))
+    assert told.value.__notes__ == ["<!--time-->"]
+
+
 def sentences(text: str) -> Iterator[str]:
     """The sentences of a page's paragraphs, of 60 characters or more; without code, tables,
-    headings and pictures.
+    headings, pictures and comments.
     """
-    prose = re.sub(r"^```.*?^```|^(?: {4}|\||#|!\[).*?$", "", text, flags=re.MULTILINE | re.DOTALL)
+    prose = re.sub(
+        r"<!--.*?-->|^```.*?^```|^(?: {4}|\||#|!\[).*?$", "", text, flags=re.MULTILINE | re.DOTALL
+    )
     for paragraph in re.split(r"\n\s*\n", prose):
         yield from (
             one for one in re.split(r"(?<=[.:;])\s+", " ".join(paragraph.split())) if len(one) >= 60
@@ -89,8 +123,8 @@ def sentences(text: str) -> Iterator[str]:
 
 
 def test_no_sentence_stands_twice_as_after_a_merge_that_kept_both_sides() -> None:
-    for page in PAGES:
-        found = Counter(sentences((REPOSITORY / page).read_text(encoding="utf-8")))
+    for page, text in PAGES.items():
+        found = Counter(sentences(text))
         assert not {one for one, times in found.items() if times > 1}, page
 
 
@@ -108,28 +142,25 @@ def test_files_that_the_page_of_the_code_names_are_there() -> None:
 
 
 def test_decimals_in_a_table_are_made_by_a_command_or_said_to_be_given() -> None:
-    """Above a table with literal decimals its source has `{# given ... #}`: inputs, not results; or
-    `{# held by tests ... #}`.
+    """Above a table with literal decimals stands `<!-- given ... -->`: inputs, not results; or
+    `<!-- held by tests -->`. Of the pages with rendered parts.
     """
     for paragraph in (
         paragraph
-        for page in pages()
-        for paragraph in (SOURCES / page).read_text(encoding="utf-8").split("\n\n")
+        for text in TEXTS.values()
+        if MARK.search(text)
+        for paragraph in RENDERED.sub("", text).split("\n\n")
     ):
         rows = [line for line in paragraph.splitlines() if line.startswith("|")]
         literal = [row for row in rows if re.search(r"(?<![\w.])\d*\.\d", NOT_LITERAL.sub("", row))]
-        assert not literal or "{# given" in paragraph or "{# held by tests" in paragraph, literal
-        for row in rows[2:] if "{# held by tests #}" in paragraph else ():
+        assert not literal or "<!-- given" in paragraph or "<!-- held by" in paragraph, literal
+        for row in rows[2:] if "<!-- held by tests -->" in paragraph else ():
             files = re.findall(r"`([\w/]+\.py)`", row)
             assert files and all((REPOSITORY / "tests" / file).is_file() for file in files), row
 
 
 def test_commands_of_the_pages_parse_and_their_scenarios_exist() -> None:
-    for name, *rest in {
-        tuple(words)
-        for page in READ
-        for words in commands((REPOSITORY / page).read_text(encoding="utf-8"))
-    }:
+    for name, *rest in {tuple(words) for page in READ for words in commands(PAGES[page])}:
         if name.startswith("-"):
             continue
         assert name in COMMANDS.commands, f"no command {name}"
@@ -151,11 +182,7 @@ def test_short_commands_of_the_pages_do_what_they_say(
     monkeypatch.chdir(tmp_path)
     # made once for all tests
     monkeypatch.setattr("vstestbed.scenario.catalogue.schema_of", whole_schema)
-    given = {
-        tuple(words)
-        for page in READ
-        for words in commands((REPOSITORY / page).read_text(encoding="utf-8"))
-    }
+    given = {tuple(words) for page in READ for words in commands(PAGES[page])}
     found = {
         words for words in given if words[0] in SHORT and not words[-1].endswith((".xml", ".py"))
     }
@@ -166,12 +193,7 @@ def test_short_commands_of_the_pages_do_what_they_say(
 
 
 def test_links_of_the_pages_lead_somewhere() -> None:
-    texts = {
-        page: re.sub(
-            r"```.*?```", "", (REPOSITORY / page).read_text(encoding="utf-8"), flags=re.DOTALL
-        )
-        for page in PAGES
-    }
+    texts = {page: re.sub(r"```.*?```", "", text, flags=re.DOTALL) for page, text in PAGES.items()}
     for page, link in (
         (page, link)
         for page, text in texts.items()
@@ -193,17 +215,28 @@ def test_links_of_the_pages_lead_somewhere() -> None:
 
 
 def test_every_page_is_in_the_index_and_has_a_way_back() -> None:
-    index = (REPOSITORY / "docs/README.md").read_text(encoding="utf-8")
-    for page in PAGES:
+    index = PAGES[Path("docs/README.md")]
+    for page, text in PAGES.items():
         if page.parts[0] in ("docs", "scenarios", "models") and page != Path("docs/README.md"):
-            back = (REPOSITORY / page).read_text(encoding="utf-8").splitlines()[2]
+            back = text.splitlines()[2]
             assert re.fullmatch(r"\[\w+\]\((\.\./)+(docs/)?README\.md(#\w+)?\)", back), (page, back)
             assert f"({Path(os.path.relpath(page, 'docs')).as_posix()})" in index, page
 
 
 def test_the_first_pages_are_short() -> None:
     for page, lines in (("README.md", 160), ("docs/README.md", 100)):
-        assert len((REPOSITORY / page).read_text(encoding="utf-8").splitlines()) <= lines
+        assert len(PAGES[Path(page)].splitlines()) <= lines
+
+
+def test_every_bundled_scenario_is_on_the_page_of_scenarios() -> None:
+    page = PAGES[Path("scenarios/README.md")]
+    assert not [name for name in bundled_scenarios() if f"[`{name}`]({name}.yaml)" not in page]
+
+
+def test_the_page_of_the_suite_says_whether_its_runs_are_of_a_former_flight() -> None:
+    suite, page = Suite(), PAGES[Path("docs/research/suite.md")]
+    assert ("The numbers on this page are of a former flight" in page) == suite.former
+    assert ("**4. The published network of CNS" in page) == suite.beside()
 
 
 def test_the_suite_s_scores_are_those_of_its_kept_runs():
