@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import astuple, dataclass
 from types import MappingProxyType
+from typing import ClassVar
 
 from vstestbed.core.errors import ParameterError
 
@@ -20,7 +21,7 @@ class _Outcomes(type):
     `Outcome["converged"]`, `for outcome in Outcome`.
     """
 
-    _known: dict[str, Outcome] = {}
+    _known: ClassVar[dict[str, Outcome]] = {}
 
     @property
     def __members__(cls) -> Mapping[str, Outcome]:
