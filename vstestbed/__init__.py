@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from vstestbed.core.planar import GroundPose
     from vstestbed.core.spec import spec
     from vstestbed.effects import EFFECTS, EffectBase
+    from vstestbed.endings.monitors import MONITORS
     from vstestbed.features import FEATURES, Feature
     from vstestbed.features.observation import Goal, Observation, Sight
     from vstestbed.laws import LAWS, Command, ErrorLaw, Law, LawBase
@@ -70,7 +71,6 @@ if TYPE_CHECKING:
     from vstestbed.tasks import GOALS, Task, TaskBase
     from vstestbed.tasks.frame import Cycle, Frame
     from vstestbed.tasks.metrics import METRICS
-    from vstestbed.tasks.monitors import MONITORS
     from vstestbed.tasks.stop import Stop
     from vstestbed.timing.clock import Clock
     from vstestbed.timing.plan import Timing
@@ -108,7 +108,7 @@ _HOMES = {
     "vstestbed.tasks.frame": ("Cycle", "Frame"),
     "vstestbed.tasks.stop": ("Stop",),
     "vstestbed.tasks.metrics": ("METRICS",),
-    "vstestbed.tasks.monitors": ("MONITORS",),
+    "vstestbed.endings.monitors": ("MONITORS",),
     "vstestbed.vision": ("DETECTORS", "KEYPOINTS", "Detection", "Detector", "DetectorBase"),
     "vstestbed.vision.perturb": ("PERTURBATIONS", "PerturbationBase"),
 }

@@ -39,6 +39,7 @@ from vstestbed.camera import CAMERAS
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose
 from vstestbed.core.named_files import folder
+from vstestbed.endings.monitors import MONITORS, AfterPictures, KeepOut, Settles
 from vstestbed.features import FEATURES
 from vstestbed.laws import IBVS, LAWS, PBVS
 from vstestbed.laws.switched import Stage, SwitchCondition
@@ -59,7 +60,6 @@ from vstestbed.targets.regions import Whale
 from vstestbed.targets.route import Straight
 from vstestbed.tasks import GOALS
 from vstestbed.tasks.metrics import METRICS
-from vstestbed.tasks.monitors import MONITORS, AfterPictures, KeepOut, Settles
 from vstestbed.tasks.stop import Converged
 from vstestbed.testing.laws import quick
 from vstestbed.vision import DETECTORS, Tags

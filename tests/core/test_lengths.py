@@ -32,7 +32,7 @@ REASONS = {
         core/quantity.py Distance Length Position
         core/spatial.py LEVEL
         loop/inputs.py OUTSIDE
-        loop/termination.py FAR_M
+        endings/divergence.py FAR_M
         report/run/page.py FARTHEST_M
         apps/ros/messages.py DEPTHS
         scenario/checks.py MOST_MOUNT_M MOST_PLACE_M MOST_VIEW_M

@@ -2,6 +2,7 @@
 letter and page has it.
 """
 
+import pickle
 import re
 from pathlib import Path
 
@@ -9,8 +10,8 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from vstestbed.core.errors import ParameterError
 from vstestbed.report import studies as figures
-from vstestbed.studies import batch
 
 TOP = Path(__file__).resolve().parents[2]
 FAILED = {outcome.name for outcome in vs.Outcome if not outcome.success}
@@ -22,8 +23,7 @@ def words_of(text: str) -> set[str]:
 
 
 def test_every_outcome_has_a_sentence_of_its_own() -> None:
-    """An `Enum` makes two names with one value aliases: the second would be no outcome at all."""
-    assert len(vs.Outcome.__members__) == len(list(vs.Outcome))
+    assert len({outcome.value for outcome in vs.Outcome}) == len(vs.Outcome)
     for outcome in vs.Outcome:
         assert re.fullmatch(r"[a-z][^.]+", outcome.value), outcome.name
 
@@ -71,19 +71,21 @@ def test_a_map_of_basins_names_each_outcome_that_occurs() -> None:
     assert shown == named
 
 
-def test_a_batch_has_a_code_for_each_outcome() -> None:
-    assert {code.name for code in batch.CODES if code is not None} == NAMES
-    assert batch.CODES[batch.GOING] is None
-
-
-@pytest.mark.app("learn")
-def test_the_environments_of_a_batch_end_as_single_ones_can() -> None:
-    pytest.importorskip("gymnasium")
-    from vstestbed.apps.learn import vector_env
-
-    first, *codes = vector_env.OUTCOMES
-    assert first is None
-    assert {outcome.name for outcome in codes if outcome is not None} <= NAMES
+def test_an_outcome_of_a_plugin_is_one_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(type(vs.Outcome), "_known", dict(vs.Outcome.__members__))
+    overheated = vs.Outcome("overheated", "a motor grew too hot", letter="V", colour="#c22f2f")
+    assert vs.Outcome["overheated"] is vs.Outcome.overheated is overheated
+    assert overheated in list(vs.Outcome) and not overheated.success
+    # of a plugin that is imported again, and in a worker's answer
+    assert vs.Outcome("overheated", "a motor grew too hot", letter="V", colour="#c22f2f") is (
+        overheated
+    )
+    assert pickle.loads(pickle.dumps(overheated)) is overheated
+    for name, letter in (("overheated", "V"), ("melted", "V"), ("converged", "")):
+        with pytest.raises(ParameterError, match=r"is that of '(overheated|converged)'"):
+            vs.Outcome(name, "something else", letter=letter)
+    with pytest.raises(AttributeError, match=r"overheat'; those known are converged, "):
+        _ = vs.Outcome.overheat
 
 
 @pytest.mark.app()

@@ -12,8 +12,8 @@ from tests.robots.arms import where_installed
 from vstestbed.core.geometry import exp
 from vstestbed.core.named_files import bundled_scenarios
 from vstestbed.core.outcome import Outcome
+from vstestbed.endings import Termination
 from vstestbed.loop.shutter import CameraClock
-from vstestbed.loop.termination import Termination
 from vstestbed.sim.base import Truth
 
 DURATION_S = 1.2

@@ -18,11 +18,11 @@ import vstestbed as vs
 from tests.laws.flight import fly as fly_to_view
 from vstestbed.camera import Perspective
 from vstestbed.core.geometry import Pose
+from vstestbed.endings import PlaneCrossed
 from vstestbed.features import Point, Polar
 from vstestbed.features.depth import OracleDepth
 from vstestbed.laws import IBVS, PBVS, Hybrid
 from vstestbed.laws.base import AdaptiveGain, ConstantGain
-from vstestbed.loop.termination import Termination
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.scenario.scenario import Scenario
@@ -139,7 +139,7 @@ def test_golden_row(row: dict[str, str], monkeypatch: pytest.MonkeyPatch):
         assert (
             status(fly(row["scenario"], row["law"], row["L"])) == "target_plane_crossed_or_behind"
         )
-        monkeypatch.setattr(Termination, "_crossed", lambda *given: None)
+        monkeypatch.setattr(PlaneCrossed, "update", lambda *given: None)
         fly.cache_clear()
     r = fly(row["scenario"], row["law"], row["L"])
     assert status(r) == row["status"]

@@ -14,7 +14,7 @@ from vstestbed.core.geometry import Pose, inverse
 from vstestbed.core.outcome import Outcome
 from vstestbed.laws import IBVS, QP
 from vstestbed.laws.points import Visibility
-from vstestbed.loop.termination import LostMarkers, _takes  # pyright: ignore[reportPrivateUsage]
+from vstestbed.loop.explanation import LostMarkers, _takes  # pyright: ignore[reportPrivateUsage]
 
 SOON = {"stop.lost_after_s": 0.2, "stop.duration_s": 3.0, "camera.rate_hz": 25}
 SIDEWAYS = {

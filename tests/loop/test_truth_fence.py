@@ -28,12 +28,12 @@ import vstestbed as vs
 from vstestbed.camera import Picture
 from vstestbed.core.geometry import Array
 from vstestbed.core.named_files import model_path
+from vstestbed.endings import Termination
 from vstestbed.features.observation import Observation
 from vstestbed.laws import Law
 from vstestbed.loop.controller import Controller
 from vstestbed.loop.ego_motion import Exposure
 from vstestbed.loop.shutter import CameraClock, Exposed
-from vstestbed.loop.termination import Termination
 from vstestbed.robots.base import RobotLog, RobotState
 from vstestbed.sim.base import IdealPlant, Truth
 from vstestbed.sim.plant import MujocoPlant

@@ -11,9 +11,9 @@ import numpy as np
 from vstestbed.camera import Perspective
 from vstestbed.core.geometry import Array, Pose
 from vstestbed.core.outcome import Verdict
+from vstestbed.endings import Termination
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import Command
-from vstestbed.loop.termination import Termination
 from vstestbed.robots import Allocation
 from vstestbed.robots.allocation import Limit, Order
 from vstestbed.sim.base import Truth

@@ -12,7 +12,7 @@ from tests.tasks.frames import first_verdict, frame, times
 from vstestbed.core.geometry import inverse
 from vstestbed.core.outcome import Outcome
 from vstestbed.core.planar import pose_on_ground
-from vstestbed.loop.termination import Termination
+from vstestbed.endings import Termination
 from vstestbed.robots.base import Supervisor
 from vstestbed.robots.flight import Failsafe
 from vstestbed.tasks.continuing import ToleranceMonitor

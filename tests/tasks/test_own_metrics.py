@@ -11,11 +11,11 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.errors import ParameterError, ScenarioError
+from vstestbed.endings.monitors import MONITORS, KeepOut
 from vstestbed.report.comparison.results import DEFAULT_METRICS, shown_by_default
 from vstestbed.report.run.page import rows
 from vstestbed.studies.comparison.plan import Comparison
 from vstestbed.tasks.metrics import METRICS, CommandVariation, ErrorIntegrals, Metric
-from vstestbed.tasks.monitors import MONITORS, KeepOut
 
 FAST = {"detector": "oracle", "camera.rate_hz": 25.0}
 BOTH = {"metrics": ["error_integrals", "command_variation"]}

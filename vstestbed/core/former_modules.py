@@ -35,6 +35,7 @@ FORMER = {
     "vstestbed.studies.together": "vstestbed.apps.gpu.together",
     "vstestbed.studies.tuned": "vstestbed.apps.tune.tuned",
     "vstestbed.studies.tuning": "vstestbed.apps.tune.tuning",
+    "vstestbed.tasks.monitors": "vstestbed.endings.monitors",
     "vstestbed.testing.grading": "vstestbed.apps.course.grading",
 }
 """Names of modules once, under which scripts import them, and where they are now."""

@@ -197,7 +197,7 @@ FEW_SEEN = "too few markers were in sight"
 NO_PICTURE = "no picture arrived"
 GUESS = ": at the start they may be outside of it, hidden or too small"
 """What a robot may think of markers that it has never found; by the truth the reason says which it
-was (`termination.LostMarkers`).
+was (`explanation.LostMarkers`).
 """
 
 

@@ -17,17 +17,18 @@ from vstestbed.camera import Image
 from vstestbed.core.geometry import Array, inverse, transform
 from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.core.provenance import versions
+from vstestbed.endings import Termination
 from vstestbed.features.observation import Goal
 from vstestbed.laws import Law
 from vstestbed.loop.columns import Layout
 from vstestbed.loop.controller import Controller
 from vstestbed.loop.ego_motion import Exposure
+from vstestbed.loop.explanation import Explanation
 from vstestbed.loop.log_file import LogWriter
 from vstestbed.loop.plants import plant_of, shown_clean, take_goal_images
 from vstestbed.loop.recording import Recording, Watcher
 from vstestbed.loop.shutter import CameraClock, Exposed
 from vstestbed.loop.stability import Stability
-from vstestbed.loop.termination import LostMarkers, Termination
 from vstestbed.robots.allocation import Order
 from vstestbed.robots.base import RobotLog, RobotState
 from vstestbed.scenario.distributions import LINK_STREAM
@@ -87,13 +88,13 @@ class Episode:
         supervisor = self.controller.supervisor
         self._task = scenario.goal.monitor(scenario.setup, supervisor)
         self._robot_log = scenario.robot.log(supervisor)
+        self._explanation = Explanation(scenario, self.plant.names_before)
         self._termination = Termination(
             self._task,
             scenario.setup,
             supervisor,
             [(rule.kind, rule.monitor(scenario.setup)) for rule in scenario.monitors],
-            Stability(scenario),
-            LostMarkers(scenario, self.plant.names_before),
+            self._explanation,
         )
         self._interpolator = scenario.timing.interpolator(*scenario.clock)
         # Of points that are not the target's markers, by the true lens: they lie in the target's
@@ -213,7 +214,7 @@ class Episode:
         """Go on with other parameters of the law."""
         self.controller.retune(law)
         self.scenario = self.controller.scenario
-        self._termination.stability = Stability(self.scenario)
+        self._explanation.stability = Stability(self.scenario)
         self.changed_by_hand("law")
 
     def _send(self, command: Array | None) -> None:
@@ -222,7 +223,7 @@ class Episode:
         self._commanded = command is not None
         if command is not None:
             # of commands from outside neither gain nor delay is known
-            self._termination.stability = None
+            self._explanation.stability = None
             wanted, allocation, order = self.controller.override(self.frame, command)
             self.frame = replace(self.frame, command=wanted, allocation=allocation, order=order)
         if self._to_robot is None or not self._to_robot(self._step // self.plant.steps_per_frame):

@@ -61,7 +61,7 @@ HOMES = {
     "views": "vstestbed.tasks",
     "routes": "vstestbed.targets.route",
     "metrics": "vstestbed.tasks.metrics",
-    "monitors": "vstestbed.tasks.monitors",
+    "monitors": "vstestbed.endings.monitors",
     "perturbations": "vstestbed.vision.perturb",
     "distributions": "vstestbed.scenario.distributions",
 }

@@ -15,6 +15,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, inverse
 from vstestbed.core.quantity import Seed, Time
 from vstestbed.core.spec import FromFile, spec
+from vstestbed.endings.monitors import MONITORS, MonitorContract
 from vstestbed.features.observation import Goal
 from vstestbed.laws import LAWS, Law
 from vstestbed.robots import ROBOTS, Robot, Vehicle
@@ -44,7 +45,6 @@ from vstestbed.sim.scene.world import World
 from vstestbed.targets import TARGETS, Target
 from vstestbed.tasks import GOALS, Setup, Task
 from vstestbed.tasks.metrics import METRICS, MetricContract, check_metrics
-from vstestbed.tasks.monitors import MONITORS, MonitorContract
 from vstestbed.tasks.stop import Stop
 from vstestbed.timing.clock import Clock
 from vstestbed.timing.plan import Timing

@@ -7,7 +7,6 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing
@@ -23,13 +22,21 @@ from vstestbed.camera import Camera
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, exp, inverse, rigid_error
 from vstestbed.core.outcome import Outcome
+from vstestbed.endings import (
+    GOES_ON,
+    OUTCOMES,
+    OVER_ARRAYS,
+    FrameLimits,
+    IdealRuns,
+    PlaneCrossed,
+    codes,
+)
 from vstestbed.features.depth import Estimate, PnP
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import Law
 from vstestbed.laws.base import Views, has_batch, inputs_of
 from vstestbed.loop.controller import GuardedLaw
 from vstestbed.loop.stability import LastPart, sentence, window
-from vstestbed.loop.termination import FAR_M
 from vstestbed.robots import Free, Mount, Robot
 from vstestbed.robots.free import FreeStart
 from vstestbed.scenario.dump import dump
@@ -51,7 +58,6 @@ __all__ = [
     "FIRST_POSE",
     "Batch",
     "BatchSetup",
-    "behind",
     "ideal",
     "left_out",
     "must_be_few_starts",
@@ -287,14 +293,10 @@ class BatchSetup:
         """Fewest visible markers with which the law gives a command."""
         return self.scenario.law.markers_needed(np.eye(6))
 
-    def frames(self, duration_s: float) -> int:
-        """Number of frames after which a time [s] has passed, by the rule of the `Termination`; of
-        inf more than any run has.
-        """
-        if math.isinf(duration_s):
-            return sys.maxsize // 2
-        # 1 ns: the termination of one run allows as much when it compares times
-        return max(0, math.ceil((duration_s - 1e-9) * self.scenario.camera.rate_hz - 1e-9))
+    @cached_property
+    def limits(self) -> FrameLimits:
+        """The limits of each run."""
+        return FrameLimits.of(self.scenario.setup)
 
 
 def start_of(scenario: Scenario, seed: int | None = None) -> Array:
@@ -329,8 +331,8 @@ def must_be_few_starts(comparison: Comparison, n: int, force: bool = False) -> N
 
 # Batch simulation of ideal closed loops: a law from thousands of starts, vectorised over the runs.
 #
-# A single run with robot dynamics, images and delays is in `run`. `_frame` repeats the rules of its
-# `Termination`, vectorised; the tests and `basin --check` compare the outcomes of the two.
+# A single run with robot dynamics, images and delays is in `run`; the tests and `basin --check`
+# compare the outcomes of the two.
 
 # runs that are simulated together: their arrays fit the processor's cache, which saves a third of
 # the time
@@ -342,9 +344,6 @@ homography is undetermined; those that are have a ratio below 0.03.
 # markers for a first pose: with three the pose is ambiguous, and can only be continued from a known
 # one
 FIRST_POSE = 4
-GOING = 0  # code of a run that has not ended; other codes are positions in CODES
-CODES: tuple[Outcome | None, ...] = (None, *Outcome)
-_CODE = {outcome: code for code, outcome in enumerate(CODES)}
 
 
 @dataclass(frozen=True)
@@ -407,7 +406,8 @@ class BatchFrame:
         step: number of the frame. index: of the runs in the batch (m,). T: poses T_camera_target
             (m, 4, 4).
         twist: commanded twists (m, 6). error: RMS errors (m,) [px]. code: outcomes, positions in
-            CODES (m,). ended: frames at which the runs end, where they do (m,).
+            OUTCOMES (m,). ended: frames at which the runs end, where they do (m,).
+        behind: which cameras are behind the face of their target (m,).
     """
 
     step: int
@@ -417,11 +417,12 @@ class BatchFrame:
     error: Array
     code: NDArray[np.int_]
     ended: NDArray[np.int_]
+    behind: NDArray[np.bool_]
 
 
 def simulate_batch(scenario: Scenario, start: Array) -> Batch:
     """Simulate ideal cameras from their own starts, each until it ends as a single run would
-    (`run`, `loop.termination.Termination`).
+    (`run`).
 
     T_camera_target <- exp(-v period) T_camera_target, with the twist v of the law. A run that has
     ended leaves the batch. Markers that a run does not see are left out of its equations. Depths
@@ -492,8 +493,8 @@ class _Runs:
 
 
 def _simulate(setup: BatchSetup, start: Array) -> Batch:
-    m, stop = len(start), setup.scenario.stop
-    last = setup.frames(stop.duration_s)
+    m = len(start)
+    last = setup.limits.last
     runs = _Runs(
         np.arange(m),
         start,
@@ -502,40 +503,38 @@ def _simulate(setup: BatchSetup, start: Array) -> Batch:
         np.zeros(m, int),
         np.zeros(m),
     )
-    outcome, steps, near = np.full(m, None, dtype=object), np.zeros(m, dtype=int), np.full(m, -1)
-    final, farthest, errors, crossed, done = (
-        start.copy(),
-        np.zeros(m),
-        np.full(m, np.nan),
-        np.zeros(m, dtype=bool),
-        0,
-    )
-    words, watched = np.full(m, "", dtype=object), _LastHalf(setup.scenario, last)
+    outcome = np.full(m, None, dtype=object)
+    steps = np.zeros(m, dtype=int)
+    near = np.full(m, -1)
+    final = start.copy()
+    farthest = np.zeros(m)
+    errors = np.full(m, np.nan)
+    crossed = np.zeros(m, dtype=bool)
+    words = np.full(m, "", dtype=object)
+    watched = _LastHalf(setup.scenario, last)
+    done = 0
     for step in range(last + 1):
         p = setup.scenario.target.points_at(runs.T)
-        now = _frame(setup, runs, p, step, last)
+        now = _frame(setup, runs, p, step)
         watched.add(now)
-        if step == last:
-            words[runs.index] = watched.unstable(now)
-            now.code[words[runs.index] != ""] = _CODE[Outcome.unstable]
-        twist, code = now.twist, now.code
-        over = code != GOING
+        twist = now.twist
+        over = now.code != GOES_ON
         if over.any():
             at = runs.index[over]
-            outcome[at] = [CODES[c] for c in code[over]]
-            steps[at], final[at], farthest[at], errors[at] = (
-                now.ended[over],
-                runs.T[over],
-                runs.farthest[over],
-                now.error[over],
-            )
-            reached = code[over] == _CODE[Outcome.converged]
+            outcome[at] = [OUTCOMES[c] for c in now.code[over]]
+            steps[at] = now.ended[over]
+            final[at] = runs.T[over]
+            farthest[at] = runs.farthest[over]
+            errors[at] = now.error[over]
             # the two ways to lose the target are one outcome, but different failures of a law
-            crossed[at] = (code[over] == _CODE[Outcome.target_lost]) & behind(
-                setup.scenario, runs.T[over]
-            )
+            crossed[at] = (outcome[at] == Outcome.target_lost) & now.behind[over]
+            reached = outcome[at] == Outcome.converged
             near[at] = np.where(reached, step - runs.near[over] + 1, -1)
-            runs, twist = runs.keep(~over), twist[~over]
+            if step == last:
+                words[at] = watched.unstable(now)
+                outcome[words != ""] = Outcome.unstable
+            runs = runs.keep(~over)
+            twist = twist[~over]
         if not len(runs.index):  # all have ended before the time is over
             break
         done += len(runs.index)
@@ -565,7 +564,7 @@ class _LastHalf:
     def unstable(self, now: BatchFrame) -> NDArray[np.object_]:
         """The words of each run of the last frame (m,); "" of those that have not timed out."""
         s, out = self._scenario, np.full(len(now.index), "", dtype=object)
-        over = np.flatnonzero(now.code == _CODE[Outcome.timed_out])
+        over = np.flatnonzero(now.code == OUTCOMES.index(Outcome.timed_out))
         if not len(over) or not self._kept:
             return out
         # a run of the last frame is in all of them
@@ -586,14 +585,15 @@ class _LastHalf:
         return out
 
 
-def _frame(setup: BatchSetup, runs: _Runs, p: Array, step: int, last: int) -> BatchFrame:
+def _frame(setup: BatchSetup, runs: _Runs, p: Array, step: int) -> BatchFrame:
     """One frame of all runs with their commands and outcomes.
 
-    The precedence of outcomes is that of `Termination.verdict`. Without a target the law commands
-    rest, and in a static world the target stays lost: such a run ends at once, with the frame at
-    which the `Termination` would end it.
+    Without a target the law commands rest, and in a static world the target stays lost: such a run
+    ends at once, with the frame at which a single one would end.
     """
     s = setup.scenario
+    limits = setup.limits
+    m = len(p)
     _, seen, error, all_seen = seen_by(s, p)
     state, twist, works = _commands(setup, runs, p, seen, step / s.camera.rate_hz)
     runs.state = state
@@ -605,33 +605,28 @@ def _frame(setup: BatchSetup, runs: _Runs, p: Array, step: int, last: int) -> Ba
     runs.rest = np.where(resting, runs.rest + 1, 0)
     distance = np.linalg.norm(runs.T[:, :3, 3], axis=1)
     runs.farthest = np.maximum(runs.farthest, distance)
-    gone = step + setup.frames(s.stop.lost_after[0])
-    failed = (
-        setup.law.failed(state) if isinstance(setup.law, OneByOne) else np.zeros(len(p), dtype=bool)
+    failed = setup.law.failed(state) if isinstance(setup.law, OneByOne) else np.zeros(m, dtype=bool)
+    not_yet = np.zeros(m, dtype=int)
+    ideal_runs = IdealRuns(
+        frame=np.full(m, step),
+        near=runs.near,
+        rest=runs.rest,
+        blind=not_yet,
+        blind_m=np.zeros(m),
+        T_camera_target=runs.T,
+        failed=failed,
     )
-    code, ended = np.zeros(len(p), dtype=int), np.full(len(p), step)
-    for which, how in (
-        (np.full(len(p), step >= last), Outcome.timed_out),
-        (runs.rest > setup.frames(s.stop.rest_after), Outcome.local_minimum),
-        (lost, Outcome.target_lost if gone <= last else Outcome.timed_out),
-        (behind(s, runs.T), Outcome.target_lost),
-        (distance > FAR_M, Outcome.diverged),
-        (failed, Outcome.law_failed),
-        (runs.near > setup.frames(s.stop.converged.hold_s), Outcome.converged),
-    ):
-        if which.any():  # later entries overwrite earlier ones: they take precedence
-            code[which] = _CODE[how]
-            ended[which] = min(gone, last) if which is lost else step
-    return BatchFrame(
-        step, runs.index, runs.T, np.where(works[:, None], twist, 0.0), error, code, ended
-    )
-
-
-def behind(s: Scenario, T: Array) -> NDArray[np.bool_]:
-    """Which cameras are behind the plane of the target (m,)."""
-    if not (s.target.one_sided and s.stop.loss_ends):
-        return np.zeros(len(T), dtype=bool)
-    return np.einsum("mi,mi->m", T[:, :3, 2], T[:, :3, 3]) <= 0
+    code = codes(ideal_runs, limits)
+    ended = np.full(m, step)
+    behind = PlaneCrossed.over(ideal_runs, limits)
+    gone = step + limits.lost
+    how = Outcome.target_lost if gone <= limits.last else Outcome.timed_out
+    # what would come first in this frame stays
+    will_be_lost = lost & ((code == GOES_ON) | (code > OVER_ARRAYS.index(PlaneCrossed)))
+    code[will_be_lost] = OUTCOMES.index(how)
+    ended[will_be_lost] = min(gone, limits.last)
+    ordered = np.where(works[:, None], twist, 0.0)
+    return BatchFrame(step, runs.index, runs.T, ordered, error, code, ended, behind)
 
 
 def seen_by(s: Scenario, p: Array) -> tuple[Array, NDArray[np.bool_], Array, NDArray[np.bool_]]:

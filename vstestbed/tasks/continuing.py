@@ -17,7 +17,7 @@ from vstestbed.robots.base import Supervisor
 from vstestbed.tasks.base import Log, Task
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.judged import JudgedError, at_worst
-from vstestbed.tasks.monitor import Setup, TaskMonitor
+from vstestbed.tasks.monitor import Setup, TaskMonitor, is_over
 from vstestbed.tasks.stop import Stop
 
 WINDOW_S = (
@@ -156,7 +156,7 @@ class ToleranceMonitor(TaskMonitor):
         # `not <=`: an error of NaN is a violation, too.
         if settled and self._left_at is None and not abs(self._error_m) <= self.task.tolerance_m:
             self._left_at = t, self._error_m
-        over = t >= duration - 1e-9  # times are sums of steps, and may miss the end by a rounding
+        over = is_over(t, duration)
         if self._speeds and self._odometer:
             T_base = frame.T_world_base(self.mount_inverse)
             self._speeds.update(t, self._odometer(T_base, frame.truth.T_world_target), over)

@@ -22,7 +22,7 @@ from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.stop import Stop
 from vstestbed.vision import Detector
 
-__all__ = ["REST", "Setup", "TaskMonitor", "has_held", "held_since", "timed_out_words"]
+__all__ = ["REST", "Setup", "TaskMonitor", "has_held", "held_since", "is_over", "timed_out_words"]
 
 # a commanded twist under this (goal distances/s and rad/s) is rest; with any pixel noise, commands
 # never are so small
@@ -66,6 +66,12 @@ def has_held(since: float, t: float, duration_s: float) -> bool:
     """Whether a condition that has held since then has held for so long [s]."""
     # times are sums of steps: a hold of 0.5 s must not miss its frame by a rounding
     return t - since + 1e-9 >= duration_s
+
+
+def is_over(t: float, duration_s: float) -> bool:
+    """Whether a duration [s] is over at a time t [s]."""
+    # times are sums of steps, and may miss the end by a rounding
+    return t >= duration_s - 1e-9
 
 
 class TaskMonitor:
@@ -180,7 +186,7 @@ class TaskMonitor:
         # After the local minimum: of a law that rests in the last frame, the more telling reason
         # counts.
         duration = self.setup.stop.duration_s
-        if frame.t < duration - 1e-9:
+        if not is_over(frame.t, duration):
             return None
         return Outcome.timed_out, timed_out_words(duration)
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from vstestbed.camera import Camera, Image, Picture
 from vstestbed.core.geometry import Array, Pose, exp
 from vstestbed.effects import EFFECTS, Effect
+from vstestbed.endings.monitors import MONITORS, MonitorContract
 from vstestbed.loop.log_file import Log
 from vstestbed.loop.session import run, uninterrupted
 from vstestbed.robots import Free
@@ -25,7 +26,6 @@ from vstestbed.sim.build import PictureSetup, build_plant
 from vstestbed.targets import Square
 from vstestbed.targets.markers import Disc
 from vstestbed.tasks.metrics import METRICS, MetricContract, check_metrics
-from vstestbed.tasks.monitors import MONITORS, MonitorContract
 from vstestbed.testing.laws import quick
 from vstestbed.testing.robots import check_contract, must_refuse
 from vstestbed.vision import Blobs, Detector, TruthView

@@ -191,7 +191,7 @@ builtins.sum = lambda *a: 2.0
 """,
     "adds a monitor, a metric and a goal that reach": """
 from vstestbed.tasks.metrics import METRICS
-from vstestbed.tasks.monitors import MONITORS
+from vstestbed.endings.monitors import MONITORS
 for registry in (METRICS, MONITORS, vs.GOALS): registry._members.clear()
 """,
     "prints the points at its end": """

@@ -74,7 +74,7 @@ def test_it_is_the_gymnasium_environment_in_other_words() -> None:
 def test_only_the_clock_leaves_a_future(
     ending: vs.Outcome, discount: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from vstestbed.loop.termination import Termination
+    from vstestbed.endings import Termination
 
     monkeypatch.setattr(
         Termination, "verdict", lambda termination, frame: (ending, "so") if frame.t > 0.1 else None

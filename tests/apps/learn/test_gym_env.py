@@ -22,8 +22,8 @@ from vstestbed.apps.learn.gym_env import GymServo
 from vstestbed.apps.learn.lerobot import make_env
 from vstestbed.core.errors import EnvironmentLackError, ParameterError, ScenarioError, SessionError
 from vstestbed.core.named_files import bundled_scenarios
+from vstestbed.endings import Termination
 from vstestbed.laws.policy import MOST_PX
-from vstestbed.loop.termination import Termination
 from vstestbed.robots import Mount
 from vstestbed.sim.base import IdealPlant, Truth
 from vstestbed.sim.plant import MujocoPlant

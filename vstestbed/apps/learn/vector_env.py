@@ -20,14 +20,13 @@ from vstestbed.apps.learn.rollout import MOST_SEED, Rollout, marker_bounds
 from vstestbed.core.errors import ParameterError, SessionError
 from vstestbed.core.geometry import Array, exp
 from vstestbed.core.outcome import Outcome
+from vstestbed.endings import GOES_ON, OUTCOMES, IdealRuns, codes
 from vstestbed.features.depth import PnP
 from vstestbed.laws.policy import MOST_PX
-from vstestbed.loop.termination import FAR_M
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.studies.batch import (
     FIRST_POSE,
     BatchSetup,
-    behind,
     ideal,
     left_out,
     seen_by,
@@ -36,16 +35,8 @@ from vstestbed.studies.batch import (
 from vstestbed.tasks.judged import in_a_frame, nearness
 from vstestbed.tasks.monitor import REST
 
-OUTCOMES = (
-    None,  # it goes on
-    Outcome.timed_out,
-    Outcome.local_minimum,
-    Outcome.target_lost,
-    Outcome.diverged,
-    Outcome.converged,
-)
-"""An outcome's code is its place."""
-NAMES = np.array([outcome.name if outcome else "" for outcome in OUTCOMES], dtype=object)
+NAMES = np.array([*(outcome.name for outcome in OUTCOMES), ""], dtype=object)
+"""Names of outcomes by their codes; the last one is of GOES_ON."""
 
 
 class GymServos(VectorEnv[dict[str, Any], NDArray[Any], NDArray[Any]]):
@@ -110,9 +101,6 @@ class GymServos(VectorEnv[dict[str, Any], NDArray[Any], NDArray[Any]]):
         self._limit = in_a_frame(self.scenario.goal.judged, stop, {"error_px": 1.0}).limit
         posed = isinstance(law.depth, PnP) and law.inputs != ("relative",)
         self._first = max(setup.needed, FIRST_POSE) if posed else setup.needed
-        self._hold = setup.frames(stop.converged.hold_s)
-        self._rest = setup.frames(stop.rest_after)
-        self._lost = setup.frames(stop.lost_after[0])
         self.num_envs = num_envs
         self.single_observation_space = self._space()
         self.single_action_space = Box(-1.0, 1.0, self._unit.shape, np.float32)
@@ -175,7 +163,7 @@ class GymServos(VectorEnv[dict[str, Any], NDArray[Any], NDArray[Any]]):
             raise ParameterError.infinite("actions", "NaN or inf")
         anew = runs.told.copy()
         # one may have ended with its first frame: its first step tells
-        goes = ~anew & (runs.code == 0)
+        goes = ~anew & (runs.code == GOES_ON)
         twist = np.where(~goes[:, None], 0.0, self._unit * np.clip(action, -1.0, 1.0))
         runs.T = exp(-self.scenario.camera.period * twist) @ runs.T
         runs.frame += goes
@@ -184,8 +172,8 @@ class GymServos(VectorEnv[dict[str, Any], NDArray[Any], NDArray[Any]]):
         before = runs.phi.copy()
         seen, info = self._look(runs, np.where(goes[:, None], twist, np.inf), goes | anew)
         truncated = runs.code == OUTCOMES.index(Outcome.timed_out)
-        terminated = (runs.code != 0) & ~truncated
-        runs.told = (runs.code != 0) & ~anew
+        terminated = (runs.code != GOES_ON) & ~truncated
+        runs.told = (runs.code != GOES_ON) & ~anew
         left = np.maximum(0, self._max_episode_steps - runs.frame)
         reward = self._reward.of_step(before, runs.phi, terminated, info["is_success"], left)
         return seen, np.where(anew, 0.0, reward), terminated & ~anew, truncated & ~anew, info
@@ -203,23 +191,24 @@ class GymServos(VectorEnv[dict[str, Any], NDArray[Any], NDArray[Any]]):
         blind = seen.sum(axis=1) < np.where(runs.frame == 0, self._first, self._setup.needed)
         error[blind] = np.nan
         near = ~blind & all_seen & (error < self._setup.error_px)
-        still = ~blind & ~near & (np.abs(twist).max(axis=1) < REST)
+        least = REST * np.repeat((s.goal_view.reach_m, 1.0), 3)
+        still = ~blind & ~near & (np.abs(twist) < least).all(axis=1)
         goes_on = blind & (runs.blind > 0) & np.isfinite(twist[:, 0])
         way = np.where(goes_on, np.linalg.norm(twist[:, :3], axis=1) * s.camera.period, 0.0)
         runs.blind_m = np.where(blind, runs.blind_m + way, 0.0)
         for name, holds in (("near", near), ("rest", still), ("blind", blind)):
             count = getattr(runs, name)
             count[now] = np.where(holds, count + 1, 0)[now]
-        lost = (runs.blind > self._lost) | (runs.blind_m >= s.stop.lost_after[1])
-        for which, how in (  # later ones take precedence, as in `Termination.verdict`
-            (runs.frame >= self._setup.frames(s.stop.duration_s), Outcome.timed_out),
-            (runs.rest > self._rest, Outcome.local_minimum),
-            (behind(s, runs.T), Outcome.target_lost),
-            (np.linalg.norm(runs.T[:, :3, 3], axis=1) > FAR_M, Outcome.diverged),
-            (runs.near > self._hold, Outcome.converged),
-            (lost, Outcome.target_lost),
-        ):
-            runs.code[now & which] = OUTCOMES.index(how)
+        ideal_runs = IdealRuns(
+            frame=runs.frame,
+            near=runs.near,
+            rest=runs.rest,
+            blind=runs.blind,
+            blind_m=runs.blind_m,
+            T_camera_target=runs.T,
+            failed=np.zeros(self.num_envs, dtype=bool),
+        )
+        runs.code = np.where(now, codes(ideal_runs, self._setup.limits), runs.code)
         runs.phi = nearness(error, self._limit)
         markers = np.where(seen[..., None], uv, 0.0).clip(-MOST_PX, MOST_PX).astype(np.float32)
         goal = np.broadcast_to(self._goal, markers.shape).copy()
@@ -255,7 +244,8 @@ class _Episodes:
 
     def __init__(self, n: int):
         self.T = np.tile(np.eye(4), (n, 1, 1))
-        self.frame, self.near, self.rest, self.blind, self.code, self.seed = np.zeros((6, n), int)
+        self.frame, self.near, self.rest, self.blind, self.seed = np.zeros((5, n), int)
+        self.code = np.full(n, GOES_ON)
         self.blind_m, self.phi = np.zeros((2, n))
         self.told = np.zeros(n, dtype=bool)
 
@@ -263,8 +253,8 @@ class _Episodes:
         """Episode i at the start that a seed draws."""
         self.T[i] = start_of(scenario, seed)
         self.seed[i] = seed
-        counters = self.frame, self.near, self.rest, self.blind, self.code, self.blind_m, self.told
-        for counter in counters:
+        self.code[i] = GOES_ON
+        for counter in self.frame, self.near, self.rest, self.blind, self.blind_m, self.told:
             counter[i] = 0
 
 

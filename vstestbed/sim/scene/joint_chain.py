@@ -30,7 +30,7 @@ from vstestbed.sim.scene.model_files import (
 
 MOST_JOINTS = 7
 MOST_INERTIA = 1e12  # of a body, about its own centre [kg m^2]
-# beyond this distance from its target a camera has diverged (`termination.FAR_M`)
+# beyond this distance from its target a camera has diverged (`endings.divergence.FAR_M`)
 MOST_ARM_M = 200.0
 WORDS = {
     int(mujoco.mjtJoint.mjJNT_FREE): "a free joint",

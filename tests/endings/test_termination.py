@@ -9,7 +9,7 @@ import pytest
 import vstestbed as vs
 from tests.tasks.frames import back_from_target, first_verdict, frame, times
 from vstestbed.core.outcome import Outcome
-from vstestbed.loop.termination import Termination
+from vstestbed.endings import Termination
 from vstestbed.robots.base import Supervisor
 from vstestbed.robots.flight import OFF, SINKS, Failsafe
 from vstestbed.tasks.monitor import TaskMonitor

@@ -1,13 +1,12 @@
-"""Termination: the verdict on each frame, from the task's monitor, the tests of safety and the
-scenario's monitors.
+"""Why a run ended as it did: where its markers were lost and what would help; a loop that was
+unstable.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
-from operator import mul
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,18 +18,11 @@ from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.laws import IBVS, QP, Hybrid, Law, Partitioned
 from vstestbed.loop.controller import GUESS
 from vstestbed.loop.stability import Stability
-from vstestbed.robots.base import Supervisor
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.sim.base import Truth
 from vstestbed.tasks.frame import Frame
-from vstestbed.tasks.monitor import Setup, TaskMonitor, has_held, held_since, timed_out_words
-from vstestbed.tasks.monitors import Monitor, checked
+from vstestbed.tasks.monitor import timed_out_words
 
-__all__ = ["FAR_M", "LostMarkers", "Termination"]
-
-FAR_M = 200.0  # distance from the target beyond which the camera has diverged [m]
-BLOCKED_S = 1.0  # how long a limit must block the robot before the run ends [s]
-BLOCKED_SCALE = 0.02  # a command scaled to less than this is blocked by the limit
+__all__ = ["Explanation", "LostMarkers"]
 
 SIDES = "left", "top", "right", "bottom"  # the borders of a picture, as `Camera.borders` has them
 # a marker whose image has less than so many times the least area is too small: its edge pixels do
@@ -232,125 +224,33 @@ def _takes(scenario: Scenario, law: Law[Any]) -> bool:
     return True
 
 
-def is_behind(T_world_target: Array, away: list[float]) -> bool:
-    """Whether a camera `away` [m] from a target at a pose (4, 4) is behind its front, from which
-    the target's z points away.
-    """
-    return sum(map(mul, away, T_world_target[:3, 2].tolist())) >= 0
-
-
 DRIVEN_TO = (Outcome.target_lost, Outcome.diverged, Outcome.collided)
 """Ends to which a loop that swings or grows may drive a robot before its time is over."""
 
 
-class Termination:
-    """Decides by truth, measurements and commands whether a run is over; nothing of it comes back
-    to the law.
+class Explanation:
+    """Says of a run that ends badly where its markers were lost, and whether its loop was unstable.
 
-    Precedence of several outcomes in one frame: a task aborted by the supervisor (unless the robot
-    touches something), a task that is reached, the tests of safety in their order, the scenario's
-    monitors, a task that is missed.
-
-    task: has already measured the frame. setup: with the limits of the run, and the target.
-    monitors: the scenario's, each with its kind. stability: tells a run that would end as
-    `timed_out`, and is unstable. markers: tells where those are lost that are not seen.
+    before: tells what stands before points. stability: None where the commands are not the law's.
     """
 
-    def __init__(
-        self,
-        task: TaskMonitor,
-        setup: Setup,
-        supervisor: Supervisor,
-        monitors: Sequence[tuple[str, Monitor]] = (),
-        stability: Stability | None = None,
-        markers: LostMarkers | None = None,
-    ):
-        self._task = task
-        self._supervisor = supervisor
-        self._duration_s = setup.stop.duration_s
-        self._monitors = monitors
-        self.stability = stability
-        self._markers = markers
-        # Where no loss ends a run, the camera may go behind its target.
-        self._one_sided = setup.target.one_sided and setup.stop.loss_ends
-        self._T_before: Array | None = None
-        self._blocked_since = math.inf
+    def __init__(self, scenario: Scenario, before: Before):
+        self._duration_s = scenario.stop.duration_s
+        self._markers = LostMarkers(scenario, before)
+        self.stability: Stability | None = Stability(scenario)
 
-    def verdict(self, frame: Frame) -> Verdict | None:
-        """The outcome after this frame with its reason, or None to go on."""
-        # All tests see every frame, whichever decides: they measure durations, and a tolerance that
-        # was violated while the task was aborted stays violated when the supervisor resumes it.
-        reached = self._task.reached(frame)
-        missed = self._task.missed(frame)
-        unsafe = self.unsafe(frame)
-        ruled = [checked(kind, monitor.update(frame)) for kind, monitor in self._monitors]
-        if self._markers is not None:
-            self._markers.add(frame)
+    def add(self, frame: Frame) -> None:
+        """One more frame."""
+        self._markers.add(frame)
         if self.stability is not None:
             self.stability.add(frame)
-        if self._supervisor.aborted and not self._touching(frame.truth):
-            return self._after_abort(frame.t, self._supervisor.aborted)
-        verdict = reached or unsafe or next(filter(None, ruled), None) or missed
-        return verdict and self._told_apart(verdict)
 
-    def unsafe(self, frame: Frame) -> Verdict | None:
-        """The first of: a collision, divergence, the plane of the target crossed, a limit reached;
-        to be asked once a frame. A target out of sight is the supervisor's matter.
-        """
-        truth = frame.truth
-        T_target = truth.T_world_target
-        away = (truth.T_world_camera[:3, 3] - T_target[:3, 3]).tolist()
-        crossed = self._crossed(truth, T_target, away) if self._one_sided else None
-        # A joint limit or a singular configuration has left nearly nothing of the command. "speed"
-        # is no such limit: a command that is merely too fast is carried out more slowly.
-        limit = frame.allocation.limit
-        holds = limit in ("joint_limit", "singular") and frame.allocation.scale < BLOCKED_SCALE
-        self._blocked_since = held_since(self._blocked_since, holds, frame.t)
-        if collided := self._collision(truth):
-            return collided
-        if math.hypot(*away) > FAR_M:
-            return Outcome.diverged, f"the camera is more than {FAR_M:g} m away from the target"
-        if crossed:
-            return crossed
-        if not has_held(self._blocked_since, frame.t, BLOCKED_S):
-            return None
-        return Outcome[limit], f"for {BLOCKED_S:g} s {Outcome[limit].value}"
+    def lost(self, verdict: Verdict) -> str:
+        """The reason of a task that was given up, with where its markers were lost."""
+        outcome, reason = verdict
+        return self._markers.explained(reason) if outcome is Outcome.target_lost else reason
 
-    def _touching(self, truth: Truth) -> str:
-        """What touches now, as `forearm and floor`; "" where nothing does that may not: feet may
-        not before they are to.
-        """
-        return truth.contact or ("" if self._supervisor.may_touch else truth.feet)
-
-    def _collision(self, truth: Truth) -> Verdict | None:
-        """Collided, with the reason of an earlier abort."""
-        if not (touching := self._touching(truth)):
-            return None
-        words = f"contact of {touching}"
-        if aborted := self._supervisor.aborted:
-            words += f", after {aborted[1]}"
-        return Outcome.collided, words
-
-    def _crossed(self, truth: Truth, T_target: Array, away: list[float]) -> Verdict | None:
-        """Lost, where the camera, `away` [m] from the target, is behind its front: from there no
-        marker can be seen.
-        """
-        before, self._T_before = self._T_before, T_target
-        if not is_behind(T_target, away):
-            return None
-        if before is None:
-            words = "the camera starts behind the plane of the target, whose face it cannot see"
-            return Outcome.target_lost, f"{words}; start in front of it, or turn target.pose"
-        away_before = (truth.T_world_camera[:3, 3] - before[:3, 3]).tolist()
-        crossed = is_behind(before, away_before)  # also of the target where it stood before
-        words = (
-            "the camera crossed the plane of the target"
-            if crossed
-            else "the target turned its back to the camera, or moved past it"
-        )
-        return Outcome.target_lost, words
-
-    def _told_apart(self, verdict: Verdict) -> Verdict:
+    def explained(self, verdict: Verdict) -> Verdict:
         """Unstable, of a run that has timed out because its loop swings or grows; where that drove
         it elsewhere, the reason says so. Where the frames do not tell, the reason at least names a
         gain over the limit of theory.
@@ -367,28 +267,3 @@ class Termination:
         if reason == timed_out_words(self._duration_s):
             return Outcome.unstable, how
         return Outcome.unstable, f"{reason}; {how}"
-
-    def without_picture(self, t: float, truth: Truth) -> Verdict | None:
-        """The outcome while no picture arrives [s]: of a collision, of an aborted task, or of the
-        end of the duration.
-        """
-        if verdict := self._collision(truth):
-            return verdict
-        if self._supervisor.aborted:
-            return self._after_abort(t, self._supervisor.aborted)
-        if not self._over(t):
-            return None
-        return Outcome.timed_out, timed_out_words(self._duration_s)
-
-    def _over(self, t: float) -> bool:
-        return t >= self._duration_s - 1e-9
-
-    def _after_abort(self, t: float, aborted: Verdict) -> Verdict | None:
-        down = self._supervisor.down(t)
-        if not (down or self._over(t)):
-            return None
-        outcome, reason = aborted
-        if self._markers is not None and outcome is Outcome.target_lost:
-            reason = self._markers.explained(reason)
-        how = self._supervisor.DOWN[0 if down else 1]
-        return self._told_apart((outcome, f"{reason}; {how}" if how else reason))

@@ -26,6 +26,7 @@ from vstestbed.core.quantity import (
 )
 from vstestbed.core.registry import Contract, Registry
 from vstestbed.core.spec import spec
+from vstestbed.endings.base import Ending
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.monitor import Setup
 
@@ -336,13 +337,20 @@ class KeepOut:
 MONITORS = Registry("monitor", KeepOut, Settles, AfterPictures, contract=Contract(MonitorContract))
 
 
-def checked(kind: str, verdict: Verdict | None) -> Verdict | None:
-    """The verdict of a monitor of this kind. Raises ParameterError: it is neither None nor an
-    outcome with its reason.
+class Ruled(Ending):
+    """A monitor of this kind. Raises ParameterError: what it returns is neither None nor an outcome
+    with its reason.
     """
-    match verdict:
-        case None | (Outcome(), str()):
-            return verdict
-    raise ParameterError.returned(
-        f"monitors: {kind}", "update", "None or (Outcome, reason)", repr(verdict)
-    )
+
+    def __init__(self, kind: str, monitor: Monitor):
+        self._kind = kind
+        self._monitor = monitor
+
+    def update(self, frame: Frame) -> Verdict | None:
+        verdict = self._monitor.update(frame)
+        match verdict:
+            case None | (Outcome(), str()):
+                return verdict
+        raise ParameterError.returned(
+            f"monitors: {self._kind}", "update", "None or (Outcome, reason)", repr(verdict)
+        )

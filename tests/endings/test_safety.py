@@ -7,19 +7,37 @@ import pytest
 import vstestbed as vs
 from tests.tasks.frames import back_from_target, frame, times
 from vstestbed.core.geometry import Pose
-from vstestbed.core.outcome import Outcome
-from vstestbed.loop.termination import BLOCKED_SCALE, FAR_M, Termination
+from vstestbed.core.outcome import Outcome, Verdict
+from vstestbed.endings import PlaneCrossed, Termination
+from vstestbed.endings.blocked import BLOCKED_SCALE, Blocked
+from vstestbed.endings.contact import Contact
+from vstestbed.endings.divergence import FAR_M, Divergence
 from vstestbed.robots.base import Supervisor
 from vstestbed.robots.flight import Failsafe
+from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.monitor import TaskMonitor
 from vstestbed.tasks.stop import Stop
 
 SETUP = vs.load("arm_ibvs").setup
 
 
+SAFETY = Contact, Divergence, PlaneCrossed, Blocked
+
+
+class Safety:
+    """The terms of safety alone, in the order of a run's."""
+
+    def __init__(self, ends: Termination):
+        self._terms = [term for term in ends.terms if isinstance(term, SAFETY)]
+        assert len(self._terms) == len(SAFETY)
+
+    def unsafe(self, frame: Frame) -> Verdict | None:
+        return next(filter(None, [term.update(frame) for term in self._terms]), None)
+
+
 def termination(
     supervisor: Supervisor | None = None, stop: Stop = SETUP.stop, one_sided: bool = True
-) -> Termination:
+) -> Safety:
     """Of a run with a square of markers, which are on its front only, or with landmarks, which have
     no front.
     """
@@ -27,10 +45,10 @@ def termination(
     target = SETUP.target if one_sided else vs.load("car_pbvs").target
     setup = replace(SETUP, stop=stop)
     monitor = TaskMonitor(setup, 1, supervisor)
-    return Termination(monitor, replace(setup, target=target), supervisor)
+    return Safety(Termination(monitor, replace(setup, target=target), supervisor))
 
 
-def verdicts(ends: Termination, seconds: float, from_s: float = 0.0, **given):
+def verdicts(ends: Safety, seconds: float, from_s: float = 0.0, **given):
     """What is said of the same frame at 25 Hz, (time [s], verdict) where something is."""
     said = [(t, ends.unsafe(frame(t, **given))) for t in times(seconds, from_s)]
     return [(t, verdict) for t, verdict in said if verdict]

@@ -17,9 +17,9 @@ from tests.tasks.frames import PERIOD_S, frame
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose
 from vstestbed.core.outcome import Outcome
+from vstestbed.endings.monitors import EARLY_PICTURES, AfterPictures, Settles
 from vstestbed.tasks.frame import Frame, ImageError
 from vstestbed.tasks.metrics import StartShares
-from vstestbed.tasks.monitors import EARLY_PICTURES, AfterPictures, Settles
 from vstestbed.tasks.stop import Stop
 
 
