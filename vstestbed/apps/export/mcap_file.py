@@ -276,9 +276,8 @@ def transforms(time_ns: int, T_world: dict[str, Array], bodies: Bodies) -> Frame
     """
     when = stamp(time_ns)
     named = [(name, T[:3, 3], quaternion_wxyz(T[:3, :3])) for name, T in T_world.items()]
-    for body in zip(*bodies, strict=True):
-        if body[0].startswith(("robot/", "leader/")):
-            named.append(body)
+    of_robots = ("robot/", "leader/")
+    named += [body for body in zip(*bodies, strict=True) if body[0].startswith(of_robots)]
     found = [
         FrameTransform(
             timestamp=when,
