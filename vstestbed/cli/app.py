@@ -18,7 +18,15 @@ import typer.core
 from vstestbed.cli import complete, tools
 from vstestbed.cli.compare import compare
 from vstestbed.cli.ending import exit_code
-from vstestbed.cli.options import Json, Plugins, ScenarioName, Settings, load_scenario, must_hold
+from vstestbed.cli.options import (
+    Json,
+    Plugins,
+    Quiet,
+    ScenarioName,
+    Settings,
+    load_scenario,
+    must_hold,
+)
 from vstestbed.core import apps
 from vstestbed.core.errors import PluginError
 
@@ -29,7 +37,6 @@ Fine = Annotated[
         "--fine", help="Films of 1280x720 with shadows and every frame, in place of quick drafts."
     ),
 ]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")]
 
 
 def _version(value: bool) -> None:

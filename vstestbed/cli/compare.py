@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from vstestbed.cli import complete
-from vstestbed.cli.options import Force, Json, Plugins, SettingsOfAll, settings_of, vary_of
+from vstestbed.cli.options import Force, Json, Plugins, Quiet, SettingsOfAll, settings_of, vary_of
 from vstestbed.core.errors import ParameterError
 
 
@@ -105,7 +105,7 @@ def compare(
         typer.Option("--plan", help="Fly nothing: say how many starts it needs for a verdict."),
     ] = False,
     as_json: Json = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")] = False,
+    quiet: Quiet = False,
     plugin: Plugins = None,
 ) -> None:
     """Every scenario, with every value that is varied, from every seed: one table, one report, one

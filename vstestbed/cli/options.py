@@ -21,6 +21,7 @@ __all__ = [
     "Force",
     "Json",
     "Plugins",
+    "Quiet",
     "ScenarioName",
     "Settings",
     "SettingsOfAll",
@@ -71,6 +72,9 @@ Experiments = Annotated[
 Json = Annotated[
     bool, typer.Option("--json", help="Print summary.json and nothing else on standard output.")
 ]
+
+
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")]
 
 
 Force = Annotated[

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
+import polars as pl
 from scipy.spatial.transform import Rotation
 
 from vstestbed.apps.calibrate.hand_eye import (
@@ -42,6 +43,9 @@ from vstestbed.core.foreign import foreign, only_known, plain_file
 from vstestbed.core.geometry import Array, inverse, pose_from, rigid_error, unit_quaternion
 from vstestbed.core.lazy import cv2
 from vstestbed.loop.episode import BY_HAND, Episode
+from vstestbed.report.canvas import new_figure, publish, style
+from vstestbed.report.marks import LINE_COLORS
+from vstestbed.report.pages import write_page
 from vstestbed.report.recorded_run import RecordedRun
 from vstestbed.robots import Robot
 from vstestbed.scenario.scenario import Scenario
@@ -448,9 +452,6 @@ def write(
     folder: Path, made: Calibrated, source: str, truth: Scenario | None, command: str
 ) -> Path:
     """Write `calibration.yaml`, and the page, into a folder; the page's path."""
-    from vstestbed.report.canvas import publish, style
-    from vstestbed.report.pages import write_page
-
     comment = (
         f"{len(made.views)} views of {source};"
         f" corners RMS {made.rms_px:.3f} px, by the hand-eye pose {made.found.rms_px:.3f} px"
@@ -573,9 +574,6 @@ def _per_view(made: Calibrated) -> Table:
 
 
 def _drawn(made: Calibrated) -> Figure:
-    from vstestbed.report.canvas import new_figure
-    from vstestbed.report.marks import LINE_COLORS
-
     w, h = made.camera.width, made.camera.height
     drawn = new_figure(7.16 * 0.7 * h / w + 0.5, 7.16 * 0.7)
     axes = drawn.add_subplot()
@@ -759,11 +757,6 @@ def write_table(
     folder: Path, lines: list[dict[str, Any]], scenario: Scenario, command: str
 ) -> Path:
     """Write `table.csv` and the page of `exactness` into a folder; the page's path."""
-    import polars as pl
-
-    from vstestbed.report.canvas import publish, style
-    from vstestbed.report.pages import write_page
-
     write_whole(folder / "table.csv", pl.DataFrame(lines).write_csv())
     tables = [
         (
@@ -828,9 +821,6 @@ def _rows_over(lines: list[dict[str, Any]], name: str) -> list[list[str]]:
 
 
 def _curves(lines: list[dict[str, Any]]) -> Figure:
-    from vstestbed.report.canvas import new_figure
-    from vstestbed.report.marks import LINE_COLORS
-
     drawn = new_figure(2.6, 7.16)
     for axes, (name, (words, unit)) in zip(
         drawn.subplots(1, len(WORDS), sharey=True), WORDS.items(), strict=True
