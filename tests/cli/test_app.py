@@ -12,7 +12,7 @@ from typing import get_args
 
 import pytest
 
-from vstestbed.cli.app import view_of
+from vstestbed.cli.rendering import view_of
 from vstestbed.cli.tools import Listed
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vstestbed.cli import doctor
+from vstestbed.cli import doctor, pixel_convention
 from vstestbed.cli.doctor import Finding, examine
 from vstestbed.core.errors import EnvironmentLackError
 from vstestbed.sim import gl_probe as gl
@@ -16,7 +16,9 @@ def pixel_errors(monkeypatch: pytest.MonkeyPatch):
     """Sets what the check of pixels finds."""
 
     def set_(errors: np.ndarray) -> None:
-        monkeypatch.setattr(doctor, "pixel_convention", lambda renderer: (errors, "a renderer"))
+        monkeypatch.setattr(
+            pixel_convention, "pixel_convention", lambda renderer: (errors, "a renderer")
+        )
 
     return set_
 

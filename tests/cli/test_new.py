@@ -16,8 +16,9 @@ import pytest
 
 import vstestbed as vs
 from tests.shortcuts import one_quick
+from vstestbed.cli.new import REGISTRY_OF, commands_of, text_of
 from vstestbed.cli.options import settings_of
-from vstestbed.cli.tools import REGISTRY_OF, NewKind, commands_of, text_of
+from vstestbed.cli.tools import NewKind
 from vstestbed.core.fields import class_text
 from vstestbed.scenario.plugins import registries
 

@@ -66,7 +66,7 @@ ELSEWHERE = {
         ("targets/picture.py", "decoded"),
     },
     "reads what this program has just written, or its own installation": {
-        ("cli/compare.py", ""),
+        ("cli/comparing.py", ""),
         ("cli/complete.py", ""),
         ("imaging/stream.py", ""),
         ("loop/columns.py", ""),

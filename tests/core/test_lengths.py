@@ -134,7 +134,7 @@ REASONS = {
     ),
     "a scene of a test's own": (
         """
-        cli/doctor.py BALLS
+        cli/pixel_convention.py BALLS
         cli/templates/monitor.py MyMonitor.margin_m
         cli/templates/motion.py MyMotion.amplitude_m
         cli/templates/task.py MyTask.distance_m

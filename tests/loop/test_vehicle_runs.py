@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
-from vstestbed.cli.progress import summary_text
+from vstestbed.cli.running import summary_text
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.outcome import Outcome
 from vstestbed.report.run.page import events

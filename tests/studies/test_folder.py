@@ -8,10 +8,10 @@ import polars as pl
 import pytest
 
 from vstestbed.core.errors import OutputError, ParameterError, RunFolderError
-from vstestbed.core.files import write_table
+from vstestbed.core.files import study_folder, write_table
 from vstestbed.studies.comparison import PLAN, Comparison
 from vstestbed.studies.comparison.plan import read_comparison
-from vstestbed.studies.folder import RESUMABLE, resumed_folder, study_folder, write_plan
+from vstestbed.studies.folder import RESUMABLE, resumed_folder, write_plan
 
 
 def test_a_study_that_fails_leaves_no_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

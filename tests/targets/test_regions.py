@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
-from vstestbed.cli.progress import summary_text
+from vstestbed.cli.running import summary_text
 from vstestbed.core.errors import ScenarioError
 from vstestbed.core.geometry import Pose, inverse, lengths
 from vstestbed.targets import Ball, Shape

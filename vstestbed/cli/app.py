@@ -6,29 +6,29 @@ Heavy imports are inside the functions: `--help` must answer within 0.4 s.
 from __future__ import annotations
 
 import gc
-import math
 import os
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
+from typing import Annotated, Any, Literal, NoReturn
 
 import typer
 import typer.core
 
 from vstestbed.cli import complete, tools
 from vstestbed.cli.compare import compare
-from vstestbed.cli.ending import GOAL_REACHED, INTERRUPTED, NOT_REACHED, exit_code
-from vstestbed.cli.options import Json, Plugins, ScenarioName, Settings, load_scenario
+from vstestbed.cli.ending import exit_code
+from vstestbed.cli.options import (
+    Json,
+    Plugins,
+    Quiet,
+    ScenarioName,
+    Settings,
+    load_scenario,
+    must_hold,
+)
 from vstestbed.core import apps
-from vstestbed.core.errors import NOTHING_RAN, ParameterError, PluginError, RunFolderError
-from vstestbed.core.shares import STOPS
-
-if TYPE_CHECKING:
-    from vstestbed.loop.recording import Watcher
-    from vstestbed.sim.scene.follow import FixedView
-    from vstestbed.tasks.frame import Frame
+from vstestbed.core.errors import PluginError
 
 FilmChoice = Literal["camera", "overview", "both", "none"]
 Fine = Annotated[
@@ -37,7 +37,6 @@ Fine = Annotated[
         "--fine", help="Films of 1280x720 with shadows and every frame, in place of quick drafts."
     ),
 ]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")]
 
 
 def _version(value: bool) -> None:
@@ -77,57 +76,10 @@ def run(
     plugin: Plugins = None,
 ) -> None:
     """One closed-loop run, with its folder of results."""
-    from vstestbed.cli.progress import Progress, show_notes, summary_text
-    from vstestbed.studies.run_folder import new_folder, run_into
+    from vstestbed.cli.running import flown
 
     chosen = load_scenario(scenario, set_, plugin, seed)
-    folder = new_folder(chosen, out)
-    with Progress(chosen, shown=not quiet and not as_json) as progress, _interrupts() as watch:
-        show_notes(not quiet)
-        recording = run_into(folder, chosen, video, [progress, watch], progress.say, fine=fine)
-    if as_json:
-        typer.echo((folder / "summary.json").read_text(encoding="utf-8"), nl=False)
-    elif not quiet:
-        typer.echo(summary_text(recording, folder, filmed=video != "none"), err=True)
-    if recording.outcome.name == "interrupted":
-        raise typer.Exit(INTERRUPTED)
-    raise typer.Exit(GOAL_REACHED if recording.outcome.success else NOT_REACHED)
-
-
-@contextmanager
-def _interrupts() -> Iterator[Watcher]:
-    """The first Ctrl-C (SIGTERM, SIGHUP) ends the run at the next frame, with a complete folder;
-    the second one ends it at once.
-    """
-    import signal
-
-    class _Stop:
-        asked = False
-
-        def ask(self, *_: object) -> None:
-            self.asked = True
-            for number, handler in before.items():  # the next signal has its usual effect
-                signal.signal(number, handler)
-
-        def frame(self, frame: Frame) -> None:
-            if self.asked:
-                # inside the loop, which turns it into the outcome `interrupted`
-                raise KeyboardInterrupt
-
-    stop = _Stop()
-    # one that is ignored (`nohup`, `&` in a script) stays so
-    before = {
-        number: handler
-        for number in STOPS
-        if (handler := signal.getsignal(number)) != signal.SIG_IGN
-    }
-    for number in before:
-        signal.signal(number, stop.ask)
-    try:
-        yield stop
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    raise typer.Exit(flown(chosen, out, video, fine, as_json, quiet))
 
 
 def render(
@@ -157,107 +109,16 @@ def render(
     plugin: Plugins = None,
 ) -> None:
     """Film a recorded run again, from any camera, without simulating."""
-    from vstestbed.cli.progress import show_notes
-    from vstestbed.core.files import make_parents, only_writer
-    from vstestbed.loop.log_file import open_log
-    from vstestbed.report.video.film import FilmView, ending_of, film_log, quality_of
-    from vstestbed.report.video.gif import gif_of
-    from vstestbed.scenario.dump import load_run
+    from vstestbed.cli import rendering
 
     ending = ".gif" if gif else ".mp4"
-    _must_end_in(ending, out)
-    size_px = _size_of(size)
-    if view is not None and camera != "overview":
-        raise ParameterError.fixed("--camera", "overview", camera, where="with --view")
-    seen_from = view_of(view)
+    rendering.must_end_in(ending, out)
+    shot = rendering.shot_of(camera, view, size)
     path = out or run_dir / f"{camera if view is None else 'view'}{ending}"
-    _must_hold(run_dir, "scenario.yaml")  # before the scenario is loaded, for a clearer message
-    scenario = load_run(run_dir, plugin or [])
-    log = open_log(run_dir, scenario)
-    show_notes(not quiet)
-    make_parents(path)
-    quality = quality_of(scenario, fine)
-    verdict = ending_of(run_dir)
-
-    def make(path: Path) -> Path | None:
-        view_of_film = FilmView(camera, seen_from, size_px)
-        return film_log(scenario, log, view_of_film, path, quality, verdict)
-
-    # a film elsewhere changes nothing in the run's folder
-    with only_writer(run_dir) if path.parent == run_dir else nullcontext():
-        film = gif_of(make, path) if gif else make(path)
-    if film is None:
-        raise RunFolderError(
-            run_dir, "has a log without frames; there is nothing to film", NOTHING_RAN
-        )
+    must_hold(run_dir, "scenario.yaml")  # before the scenario is loaded, for a clearer message
+    film = rendering.filmed(run_dir, shot, path, fine, plugin or [], quiet)
     if not quiet:
         typer.echo(str(film), err=True)
-
-
-def _must_end_in(ending: str, out: Path | None) -> None:
-    """Refuse the file of `--out` where it is not of the kind that `--gif` says."""
-    if out is None or out.suffix.lower() == ending:
-        return
-    other = ".mp4 without" if ending == ".gif" else ".gif with"
-    raise ParameterError("--out", f"must end in {ending}, or in {other} --gif", str(out))
-
-
-def _size_of(words: str | None) -> tuple[int, int] | None:
-    """The size [px] of `--size`."""
-    if words is None:
-        return None
-    width, _, height = words.lower().partition("x")
-    if not (
-        width.isdigit()
-        and height.isdigit()
-        and 16 <= int(width) <= 7680
-        and 16 <= int(height) <= 4320
-    ):
-        raise ParameterError.form("--size", "WIDTHxHEIGHT in pixels, such as 1280x720", words)
-    return int(width), int(height)
-
-
-def view_of(words: str | None) -> FixedView | None:
-    """The view of `--view`. Raises ParameterError:
-    other than three or six numbers, or no distance.
-    """
-    import numpy as np
-
-    from vstestbed.sim.scene.follow import FixedView
-
-    if words is None:
-        return None
-    try:
-        numbers = [float(part) for part in words.split(",")]
-    except ValueError:
-        numbers = []
-    if (
-        len(numbers) not in (3, 6)
-        or not all(map(math.isfinite, numbers))
-        or not 0 < numbers[2] <= 1e4
-    ):
-        form = (
-            "AZIMUTH,ELEVATION,DISTANCE[,X,Y,Z] in degrees and metres,"
-            " such as 120,-20,3 or 120,-20,3,0.5,0,0.8"
-        )
-        raise ParameterError.form("--view", form, words)
-    return FixedView(*numbers[:3], at=np.array(numbers[3:]) if numbers[3:] else None)
-
-
-def _must_hold(folder: Path, *names: str) -> None:
-    try:
-        if any((folder / name).is_file() for name in names):
-            return
-        found = (
-            "no run here"
-            if folder.is_dir()
-            else "is a file, and no run's folder"
-            if folder.exists()
-            else "no such folder"
-        )
-    except OSError as error:
-        found = f"cannot be read ({error.strerror})"
-    raise RunFolderError(folder, found)
 
 
 def report(
@@ -275,7 +136,7 @@ def report(
     from vstestbed.core.files import only_writer
 
     known = (*apps.offered("reports"), *apps.WORDS["reports"])
-    _must_hold(folder, "comparison.yaml", "scenario.yaml", *known)
+    must_hold(folder, "comparison.yaml", "scenario.yaml", *known)
     of_apps = [name for name in known if (folder / name).is_file()]
     with only_writer(folder):
         # each with its own imports: those of a comparison take as long as the report of a run

@@ -8,7 +8,7 @@ import re
 import shlex
 import textwrap
 import typing
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from rich.console import Console
 from rich.padding import Padding
@@ -19,8 +19,18 @@ from vstestbed.core.errors import ParameterError, nearest
 from vstestbed.core.fields import DIMENSIONLESS, SchemaField, class_text, fields, without_unit
 from vstestbed.core.registry import Registry
 from vstestbed.loop.columns import column_texts, text_of
-from vstestbed.scenario.catalogue import Entry, FieldPlace, bundled_uses, example_block, examples_of
+from vstestbed.scenario.catalogue import (
+    Entry,
+    FieldPlace,
+    bundled_uses,
+    catalogue,
+    example_block,
+    examples_of,
+    looked_up,
+)
 from vstestbed.scenario.dump import block_text, flow_text
+from vstestbed.scenario.plugins import load_plugins
+from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.metrics import KNOWN, RUN_COLUMNS, own_metrics
 
 _ITEM = re.compile(r"- |\d+\. |\S.{0,15}?  ")
@@ -33,6 +43,37 @@ _WORD = re.compile(r"`[^`]*`\S*|\S*")
 """The first word of a line, or what stands in backquotes there, which stays in one piece."""
 FILLED = 96
 """Columns that a class's docstring fills: the 100 of a line less its indentation."""
+
+
+def described(kind: str, plugins: Sequence[str]) -> str:
+    """All that is known of a word: a kind, a block, a field, or what a run's record holds. Raises
+    ParameterError: there is no such word.
+    """
+    load_plugins(plugins)
+    console = Console(highlight=False)
+    with console.capture() as text:
+        if kind in ("log", "summary", "table") or kind.startswith("log."):
+            describe_record(kind, console)
+        else:
+            _describe_part(kind, console)
+    return "\n".join(line.rstrip() for line in text.get().splitlines())
+
+
+def _describe_part(kind: str, console: Console) -> None:
+    """Print what is known of a part of a scenario, or of a comparison."""
+    entries = catalogue(scenario=Scenario)
+    try:
+        found = looked_up(kind, entries)
+    except ParameterError:
+        # here: most words are of a scenario, and it takes 0.3 s to import
+        from vstestbed.studies.comparison import Comparison
+
+        entries = catalogue(scenario=Scenario, comparison=Comparison)
+        found = looked_up(kind, entries)
+    if isinstance(found, Entry):
+        describe_entry(found, entries, console)
+    else:
+        describe_field(found, entries, console)
 
 
 def describe_entry(entry: Entry, entries: dict[str, Entry], console: Console) -> None:

@@ -8,21 +8,19 @@ import os
 import sys
 import textwrap
 from collections.abc import Iterable, Iterator
-from contextlib import closing
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from rich.console import Console
 from rich.text import Text
 
-from vstestbed.core.errors import VstestbedError
-from vstestbed.core.named_files import bundled_scenarios, folder
+from vstestbed.core.errors import EnvironmentLackError, ParameterError, VstestbedError
+from vstestbed.core.geometry import Array
+from vstestbed.core.named_files import absolute_file, bundled_scenarios, folder
 from vstestbed.core.provenance import versions
-
-if TYPE_CHECKING:
-    from vstestbed.camera import Camera
-    from vstestbed.core.geometry import Array
+from vstestbed.sim import gl_probe as gl
 
 PIXEL_TOLERANCE_PX = 0.1
 """Tolerance between rendered and projected balls [px]: well above the detector's own error (0.02 to
@@ -82,6 +80,16 @@ def show(all_messages: Iterable[Finding]) -> bool:
     return all(works)
 
 
+def examined(model: str | None) -> int:
+    """Show what works here, or of an arm's file; the exit code."""
+    if model is None:
+        return 0 if show(examine()) else EnvironmentLackError.exit_code
+    from vstestbed.sim.scene.model_report import examine_model  # here: MuJoCo may be what is broken
+
+    sound = show(Finding(*line) for line in examine_model(absolute_file(model, Path.cwd())))
+    return 0 if sound else ParameterError.exit_code
+
+
 def examine() -> Iterator[Finding]:
     """Check everything that a run needs, in turn."""
     # every check gives a finding, also a failed one: one broken part must not hide the others
@@ -131,16 +139,14 @@ def _pictures() -> Iterator[Finding]:
     """OpenGL (ray casting where it does not work), then the pixel convention: rendered against
     projected positions of balls.
     """
-    from vstestbed.sim import gl_probe as gl
-
     try:
-        errors, renderer = pixel_convention("gl")
+        errors, renderer = _rendered_by("gl")
     except (VstestbedError, ImportError) as error:
         lack = gl.explain(error) if isinstance(error, ImportError) else error
         # the form of every message of this package
         problem, _, remedy = str(lack or error).partition("; ")
         yield Finding("OpenGL", False, f"{problem}; {gl.RAYS_INSTEAD}", remedy)
-        errors, renderer = pixel_convention("rays")
+        errors, renderer = _rendered_by("rays")
     else:
         yield Finding("OpenGL", True, renderer)
     # rendered minus projected positions (N, 2) [px], NaN where a ball was not found
@@ -172,13 +178,20 @@ def _pictures() -> Iterator[Finding]:
     yield Finding("pixels", worst < PIXEL_TOLERANCE_PX, found, remedy)
 
 
+def _rendered_by(renderer: Literal["gl", "rays"]) -> tuple[Array, str]:
+    """What `pixel_convention` finds by a renderer."""
+    # here, and anew: OpenGL may be missing, without which MuJoCo is not imported
+    from vstestbed.cli.pixel_convention import pixel_convention
+
+    return pixel_convention(renderer)
+
+
 def _codec() -> Finding:
     import av
-    import av.error
 
     try:
         av.Codec("libx264", "w")
-    except (av.error.FFmpegError, ValueError) as error:
+    except (av.FFmpegError, ValueError) as error:
         return Finding(
             "video",
             False,
@@ -186,47 +199,3 @@ def _codec() -> Finding:
             "pip install --force-reinstall --only-binary :all: av",
         )
     return Finding("video", True, f"libx264 through PyAV {av.__version__}")
-
-
-# Check of the pixel convention: balls of known position are rendered, detected and compared with
-# the camera model.
-BALLS = tuple(
-    (x, y, z) for z, y in ((0.0, -0.35), (0.3, 0.0), (-0.2, 0.35)) for x in (-0.5, -0.17, 0.17, 0.5)
-)
-"""Twelve balls over the whole image at several depths, in the target frame [m]."""
-
-
-def pixel_convention(
-    renderer: Literal["auto", "gl", "rays"] = "auto", camera: Camera | None = None
-) -> tuple[Array, str]:
-    """Render twelve balls and detect them: measured minus predicted pixels of their centres (N, 2)
-    [px], and the renderer's name.
-
-    Raises EnvironmentLackError: renderer is gl, and OpenGL does not work here.
-    """
-    from vstestbed.camera import Perspective, Picture
-    from vstestbed.core.geometry import Pose, transform
-    from vstestbed.robots import Free
-    from vstestbed.robots.free import FreeStart
-    from vstestbed.sim.base import SceneDescription
-    from vstestbed.sim.render.pictures import servo_renderer
-    from vstestbed.sim.scene.scene import Scene
-    from vstestbed.sim.scene.world import World
-    from vstestbed.targets.base import Points
-    from vstestbed.targets.markers import Sphere
-    from vstestbed.vision import Blobs
-
-    camera = replace(camera or Perspective(multisampling=4), renderer=renderer)
-    # Unlit: shading would shift a ball's centroid towards the light.
-    target = Points(at=BALLS, pose=Pose(xyz=(0, 0, 1.2)), marker=Sphere(radius=0.035, lit=False))
-    robot = Free(start=FreeStart(nominal=Pose()))
-    parts = SceneDescription(robot, camera, target, World(floor_z=-20.0), step=0.002)
-    with closing(Scene(parts, samples=camera.multisampling)) as stage:
-        drawing = servo_renderer(stage, camera)
-        stage.place(0.0, target.pose.T, np.zeros(0), np.eye(4))
-        image = drawing.full_image()
-        detector = Blobs()
-        _, found = detector.detect(
-            detector.init(), Picture(0.0, (image,)), None, camera, target, np.random.default_rng(0)
-        )
-    return found.uv - camera.project(transform(target.pose.T, target.points)), drawing.name

@@ -5,12 +5,13 @@ Heavy imports are inside the functions.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from vstestbed.cli import complete
-from vstestbed.core.errors import ParameterError
+from vstestbed.core.errors import ParameterError, RunFolderError
 
 if TYPE_CHECKING:
     from vstestbed.scenario.scenario import Scenario
@@ -20,10 +21,12 @@ __all__ = [
     "Force",
     "Json",
     "Plugins",
+    "Quiet",
     "ScenarioName",
     "Settings",
     "SettingsOfAll",
     "load_scenario",
+    "must_hold",
     "settings_of",
     "vary_of",
 ]
@@ -71,6 +74,9 @@ Json = Annotated[
 ]
 
 
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")]
+
+
 Force = Annotated[
     bool, typer.Option("--force", help="Also more than 100 000 runs (basin: 4 000 000 starts).")
 ]
@@ -80,11 +86,26 @@ def load_scenario(
     name: str, settings: list[str] | None, plugins: list[str] | None, seed: int | None = None
 ) -> Scenario:
     """Load the scenario of a command line, with `--set`, `--seed` and `--plugin` applied."""
-    from vstestbed.scenario.load import load
-    from vstestbed.scenario.yaml_marks import from_option
+    from vstestbed.scenario import load, yaml_marks
 
     overrides = settings_of(settings)
-    return load(name, overrides, seed, from_option(overrides), plugins or [])
+    return load.load(name, overrides, seed, yaml_marks.from_option(overrides), plugins or [])
+
+
+def must_hold(folder: Path, *names: str) -> None:
+    """Refuse a folder that has none of these files. Raises RunFolderError."""
+    try:
+        if any((folder / name).is_file() for name in names):
+            return
+        if folder.is_dir():
+            found = "no run here"
+        elif folder.exists():
+            found = "is a file, and no run's folder"
+        else:
+            found = "no such folder"
+    except OSError as error:
+        found = f"cannot be read ({error.strerror})"
+    raise RunFolderError(folder, found)
 
 
 def _is_path(dotted: str) -> bool:

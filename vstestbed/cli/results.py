@@ -1,7 +1,4 @@
-"""What commands of studies share: the folder of their results, and how they are told.
-
-Heavy imports are inside the functions.
-"""
+"""What commands of studies share: the folder of their results, and how they are told."""
 
 from __future__ import annotations
 
@@ -16,6 +13,7 @@ from typing import Any
 import typer
 
 from vstestbed.cli.ending import INTERRUPTED
+from vstestbed.core.files import study_folder
 
 __all__ = ["RESULTS", "command_line", "results_in", "tell"]
 
@@ -48,8 +46,6 @@ def results_in(
     interrupted one. kind: the command. found: the results so far. total: how many there are to be.
     things: what they are of.
     """
-    from vstestbed.studies.folder import study_folder
-
     with study_folder(kind, out) as folder:
         try:
             yield folder

@@ -6,11 +6,9 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import hashlib
 import json
 import os
 import re
-import secrets
 import shlex
 import shutil
 import unicodedata
@@ -46,6 +44,7 @@ __all__ = [
     "read_file",
     "read_json",
     "remove_empty",
+    "study_folder",
     "temporary",
     "unflushed",
     "whole_folder",
@@ -136,7 +135,7 @@ def temporary(path: Path) -> Path:
     complete.
     """
     # Cut, since file systems take names of up to 255 bytes.
-    return path.with_name(f"{path.name[:50]}.{secrets.token_hex(8)}.part")
+    return path.with_name(f"{path.name[:50]}.{os.urandom(8).hex()}.part")
 
 
 def write_whole(path: Path, content: str | bytes) -> Path:
@@ -307,6 +306,8 @@ def allowed(name: str, most: int = 150) -> str:
     if name.partition(".")[0].casefold() in DEVICES:
         name = f"_{name}"
     if len(name.encode()) > most:
+        import hashlib  # here: it takes longer to import than all the rest
+
         name = f"{_cut(name, most - 17)}_{hashlib.sha256(name.encode()).hexdigest()[:16]}"
     return name
 
@@ -350,6 +351,27 @@ def new_folder(parent: Path, out: Path | None, remedy: str = "give a new one") -
         return numbered(parent)
     must_be_new(out, remedy)
     return make_folder(out)
+
+
+@contextmanager
+def study_folder(kind: str, out: Path | None, remedy: str = "give a new one") -> Iterator[Path]:
+    """Make and hold the folder of a new study: `out`, or the next free number in runs/KIND.
+
+    It is removed again if an error leaves it empty.
+
+    kind: the command, such as `basin`. out: the folder. remedy: what would work where it holds
+    something already. Raises OutputError: it holds something already, another process writes into
+    it, or it cannot be made.
+    """
+    folder = new_folder(Path("runs") / kind, out, remedy)
+    with only_writer(folder):
+        # again: another process may have finished there before this one held it
+        must_be_new(folder, remedy)
+        try:
+            yield folder
+        except BaseException:
+            remove_empty(folder)
+            raise
 
 
 @contextmanager

@@ -1,6 +1,4 @@
-"""The folder of a study: a new one, or one that goes on; held by one process; its plan, tables and
-numbers, each whole or not at all.
-"""
+"""The folder of a study that goes on; held by one process, with its plan."""
 
 from __future__ import annotations
 
@@ -10,42 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from vstestbed.core.errors import ParameterError, RunFolderError
-from vstestbed.core.files import (
-    make_folder,
-    must_be_new,
-    new_folder,
-    only_writer,
-    remove_empty,
-    write_whole,
-)
+from vstestbed.core.files import make_folder, only_writer, write_whole
 from vstestbed.core.registry import to_mapping
 from vstestbed.scenario.dump import as_yaml
 from vstestbed.scenario.load import for_another_folder
 
-__all__ = ["RESUMABLE", "resumed_folder", "study_folder", "write_plan"]
+__all__ = ["RESUMABLE", "resumed_folder", "write_plan"]
 
 RESUMABLE = "give a new one, or --resume to go on with what is there"
-
-
-@contextmanager
-def study_folder(kind: str, out: Path | None, remedy: str = "give a new one") -> Iterator[Path]:
-    """Make and hold the folder of a new study: `out`, or the next free number in runs/KIND.
-
-    It is removed again if an error leaves it empty.
-
-    kind: the command, such as `basin`. out: the folder. remedy: what would work where it holds
-    something already. Raises OutputError: it holds something already, another process writes into
-    it, or it cannot be made.
-    """
-    folder = new_folder(Path("runs") / kind, out, remedy)
-    with only_writer(folder):
-        # again: another process may have finished there before this one held it
-        must_be_new(folder, remedy)
-        try:
-            yield folder
-        except BaseException:
-            remove_empty(folder)
-            raise
 
 
 @contextmanager

@@ -16,7 +16,7 @@ import yaml
 
 from tests.shortcuts import one_quick
 from vstestbed.apps.course.grading import Needs, grade, read_lab
-from vstestbed.cli.tools import text_of
+from vstestbed.cli.new import text_of
 from vstestbed.core.errors import ScenarioError
 from vstestbed.testing.likeness import Likeness
 

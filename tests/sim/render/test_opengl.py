@@ -13,7 +13,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.camera import Perspective
-from vstestbed.cli.doctor import BALLS, pixel_convention
+from vstestbed.cli.pixel_convention import BALLS, pixel_convention
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import FLIP, Array, Pose, inverse, transform
 from vstestbed.robots import Free

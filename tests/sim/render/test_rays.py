@@ -16,7 +16,7 @@ import pytest
 import vstestbed as vs
 from tests.shortcuts import one_quick
 from vstestbed.camera import Camera, Catadioptric, Fisheye, Perspective, Picture, SphericalCamera
-from vstestbed.cli.doctor import pixel_convention
+from vstestbed.cli.pixel_convention import pixel_convention
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.geometry import FLIP, Array, Pose, inverse, transform
 from vstestbed.imaging.sensor import ImageNoise

@@ -10,7 +10,7 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -438,6 +438,24 @@ def measure_one(floor: str, pair: Pair, repeats: int = 5) -> BesideFloor:
     pairs = [pair() for _ in range(repeats + 1)][1:]
     seconds, floor_seconds = zip(*pairs, strict=True)
     return BesideFloor(floor=floor, seconds=seconds, floor_seconds=floor_seconds)
+
+
+def measured(
+    repeats: int, only: Container[str], say: Callable[[str], None]
+) -> tuple[Suite, list[str]]:
+    """What was measured, of all benchmarks or some, and the names of those that an interrupt has
+    left out.
+    """
+    chosen = {name: one for name, one in benchmarks().items() if not only or name in only}
+    timings: dict[str, BesideFloor] = {}
+    try:
+        for name, (floor, pair) in chosen.items():
+            say(name)
+            timings[name] = measure_one(floor, pair, repeats)
+    except KeyboardInterrupt:
+        if not timings:
+            raise
+    return Suite.of(timings), [name for name in chosen if name not in timings]
 
 
 def benchmarks() -> dict[str, tuple[str, Pair]]:

@@ -49,6 +49,9 @@ from vstestbed.core.geometry import (
 )
 from vstestbed.core.lazy import cv2
 from vstestbed.loop.episode import BY_HAND, Episode
+from vstestbed.report.canvas import new_figure, publish, style
+from vstestbed.report.marks import LINE_COLORS
+from vstestbed.report.pages import write_page
 from vstestbed.report.recorded_run import RecordedRun
 from vstestbed.robots import Robot
 from vstestbed.scenario.scenario import Scenario
@@ -444,9 +447,6 @@ def write(
     folder: Path, made: Calibrated, source: str, truth: Scenario | None, command: str
 ) -> Path:
     """Write `calibration.yaml`, and the page, into a folder; the page's path."""
-    from vstestbed.report.canvas import publish, style
-    from vstestbed.report.pages import write_page
-
     found = made.found
     comment = (
         f"{len(made.views)} views of {source};"
@@ -542,9 +542,6 @@ def _per_view(made: Calibrated) -> Table:
 
 
 def _drawn(made: Calibrated) -> Figure:
-    from vstestbed.report.canvas import new_figure
-    from vstestbed.report.marks import LINE_COLORS
-
     w = made.camera.width
     h = made.camera.height
     drawn = new_figure(7.16 * 0.7 * h / w + 0.5, 7.16 * 0.7)
@@ -693,9 +690,6 @@ WORDS = {
 
 def write_table(folder: Path, table: pl.DataFrame, scenario: Scenario, command: str) -> Path:
     """Write `table.csv` and the page of `exactness` into a folder; the page's path."""
-    from vstestbed.report.canvas import publish, style
-    from vstestbed.report.pages import write_page
-
     write_whole(folder / "table.csv", table.write_csv())
     methods = table["method"].unique(maintain_order=True)
     tables = []
@@ -741,8 +735,6 @@ def _rows_over(table: pl.DataFrame, name: str) -> list[list[str]]:
 
 
 def _curves(table: pl.DataFrame) -> Figure:
-    from vstestbed.report.canvas import new_figure
-    from vstestbed.report.marks import LINE_COLORS
 
     drawn = new_figure(2.6, 7.16)
     for axes, name in zip(drawn.subplots(1, len(WORDS), sharey=True), WORDS, strict=True):

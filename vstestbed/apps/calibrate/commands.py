@@ -1,4 +1,4 @@
-"""The command `calibrate`. Heavy imports are inside the functions."""
+"""The command `calibrate`."""
 
 from __future__ import annotations
 
@@ -9,16 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from vstestbed.cli import complete
-from vstestbed.cli.options import (
-    Plugins,
-    load_scenario,
-)
+from vstestbed.cli.options import Plugins, Quiet, load_scenario
+from vstestbed.cli.progress import ProgressBar, show_notes
+from vstestbed.cli.results import command_line
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.files import study_folder
 
 if TYPE_CHECKING:
     from vstestbed.apps.calibrate.calibration import Board
 
-
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")]
 BOARD = "7x5:0.04:0.03:4X4_50"
 
 
@@ -85,9 +84,6 @@ def calibrate(
 ) -> None:
     """Intrinsics and hand-eye pose of a camera, from pictures of a ChArUco board."""
     from vstestbed.apps.calibrate import calibration as room
-    from vstestbed.cli.progress import show_notes
-    from vstestbed.cli.results import command_line
-    from vstestbed.studies.folder import study_folder
 
     show_notes(not quiet)
     of = room.Board.of(board)
@@ -98,9 +94,8 @@ def calibrate(
     if table:
         _table(source, of, trials, out, quiet, plugin)
         return
-    from vstestbed.core.errors import ParameterError
-
-    truth, place = None, Path(source)
+    truth = None
+    place = Path(source)
     if (place / "scenario.yaml").is_file():
         truth, shots = room.shots_of_run(place)
     else:
@@ -126,17 +121,12 @@ def calibrate(
 def _table(
     source: str, board: Board, trials: int, out: Path | None, quiet: bool, plugin: list[str] | None
 ) -> None:
-    from rich.progress import Progress
-
     from vstestbed.apps.calibrate import calibration as room
-    from vstestbed.cli.progress import ProgressBar
-    from vstestbed.cli.results import command_line
-    from vstestbed.studies.folder import study_folder
 
     scenario = load_scenario(source, None, plugin, None)
     total = trials * sum(map(len, room.OVER.values()))
     with study_folder("calibrate", out) as folder:
-        with ProgressBar(Progress.get_default_columns(), not quiet, "calibrating", total) as bar:
+        with ProgressBar((), not quiet, "calibrating", total) as bar:
             lines = room.exactness(scenario, board, trials, bar.were_done)
         room.write_table(folder, lines, scenario, command_line())
     if not quiet:

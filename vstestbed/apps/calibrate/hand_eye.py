@@ -79,7 +79,8 @@ def _translation(R: Array, A: Array, B: Array) -> Array:
     """X (4, 4) of its rotation: (R_A - I) t = R t_B - t_A, by least squares."""
     C = (A[:, :3, :3] - np.eye(3)).reshape(-1, 3)
     d = (B[:, :3, 3] @ R.T - A[:, :3, 3]).ravel()
-    return posed(R, np.linalg.lstsq(C, d, rcond=None)[0])
+    t: Array = np.linalg.lstsq(C, d, rcond=None)[0]
+    return posed(R, t)
 
 
 def tsai(A: Array, B: Array) -> Array:

@@ -1,4 +1,4 @@
-"""The command `grade`. Heavy imports are inside the functions."""
+"""The command `grade`."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from typing import Annotated
 import typer
 
 from vstestbed.cli.ending import NOT_REACHED
+from vstestbed.core.files import make_folder
+from vstestbed.core.named_files import bundled_labs
 
 
 def grade(
@@ -42,19 +44,16 @@ def grade(
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")] = False,
 ) -> None:
     """Mark a student's file by a lab's tasks, with the reason for each point that is not given."""
-    from vstestbed.apps.course.grading import grade as mark_of
-    from vstestbed.apps.course.grading import read_lab
-    from vstestbed.core.files import make_folder
-    from vstestbed.core.named_files import bundled_labs
+    from vstestbed.apps.course import grading
 
     place = bundled_labs().get(lab, Path(lab))
-    read = read_lab(place)
+    read = grading.read_lab(place)
 
     def told(title: str) -> None:
         if not (quiet or as_json):
             typer.echo(f"{title} ...", err=True)
 
-    mark = mark_of(read, student, first_seed, place.parent, told)
+    mark = grading.grade(read, student, first_seed, place.parent, told)
     if out is not None:
         make_folder(out)
         mark.write(out)

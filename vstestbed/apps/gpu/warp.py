@@ -286,7 +286,7 @@ class _World:
         # the picture of each slot among them: its number, of those that rise from slot to slot
         at = np.unique([slot.number for slot in work], return_inverse=True)[1]
         poses = np.array([shot.T_world_camera for shot in shots])[at]
-        views = np.zeros(n, kernels.SlotView.numpy_dtype())
+        views: NDArray[np.void] = np.zeros(n, kernels.SlotView.numpy_dtype())
         views["origin"] = poses[:, :3, 3]
         views["R"] = poses[:, :3, :3]
         tiles = np.zeros((n, MOST_TILES), kernels.Tile.numpy_dtype())

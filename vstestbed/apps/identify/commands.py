@@ -1,22 +1,18 @@
-"""The commands `excite` and `identify`. Heavy imports are inside the functions."""
+"""The commands `excite` and `identify`."""
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from vstestbed.cli.options import (
-    Plugins,
-    ScenarioName,
-    Settings,
-    load_scenario,
-)
+from vstestbed.cli.options import Plugins, Quiet, ScenarioName, Settings, load_scenario
+from vstestbed.cli.progress import show_notes
+from vstestbed.cli.results import command_line
 from vstestbed.core import apps
-
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")]
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.files import study_folder
 
 METADATA = "metadata.yaml"  # what a bag's folder holds
 
@@ -43,28 +39,18 @@ def excite(
     """A motion by which a robot shows its latencies and time constants: steps and sines, as a table
     of commands.
     """
-    from vstestbed.apps.identify.identification import RECORD, motion_of
-    from vstestbed.apps.identify.identification import fly as flown
-    from vstestbed.studies.folder import study_folder
+    from vstestbed.apps.identify import identification as room
 
     given = load_scenario(scenario, set_, plugin, seed)
-    motion = motion_of(given)
+    motion = room.motion_of(given)
     if not fly:
         typer.echo(motion.write_csv(), nl=False)
         return
-    from vstestbed.core.files import write_whole
-    from vstestbed.scenario.dump import documents
-
     with study_folder("excite", out) as folder:
-        record, content = flown(given.resolved, motion), io.BytesIO()
-        record.write_parquet(content)
-        write_whole(folder / RECORD, content.getvalue())
-        write_whole(folder / "motion.csv", motion.write_csv())
-        write_whole(folder / "scenario.yaml", documents(given)["scenario.yaml"])
+        record = room.fly(given.resolved, motion)
+        path = room.keep(folder, given, motion, record)
     if not quiet:
-        typer.echo(
-            f"{len(record)} of {len(motion)} commands were flown\n{folder / RECORD}", err=True
-        )
+        typer.echo(f"{len(record)} of {len(motion)} commands were flown\n{path}", err=True)
 
 
 def identify(
@@ -97,10 +83,6 @@ def identify(
     a preset for `robot.realism`.
     """
     from vstestbed.apps.identify import identification as room
-    from vstestbed.cli.progress import show_notes
-    from vstestbed.cli.results import command_line
-    from vstestbed.core.errors import ParameterError
-    from vstestbed.studies.folder import study_folder
 
     given = load_scenario(scenario, set_, plugin, None)
     show_notes(not quiet)

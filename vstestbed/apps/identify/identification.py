@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import bisect
 import functools
+import io
 import logging
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -28,13 +29,17 @@ from scipy.optimize import least_squares
 from scipy.stats import t as student
 
 from vstestbed.core.errors import ParameterError, RunFolderError
+from vstestbed.core.files import write_whole
 from vstestbed.core.foreign import foreign, plain_file
 from vstestbed.core.geometry import Array
 from vstestbed.core.registry import to_mapping
 from vstestbed.loop.episode import Episode
 from vstestbed.loop.inputs import OUTSIDE
+from vstestbed.report.canvas import new_figure, publish, style
+from vstestbed.report.marks import LINE_COLORS
+from vstestbed.report.pages import write_page
 from vstestbed.robots import Mount
-from vstestbed.scenario.dump import as_yaml
+from vstestbed.scenario.dump import as_yaml, documents
 from vstestbed.scenario.load import parse
 from vstestbed.scenario.scenario import Scenario
 
@@ -125,6 +130,15 @@ def fly(
             tick()
             frame = episode.advance(u[len(rows) - 1])
     return pl.DataFrame(rows)
+
+
+def keep(folder: Path, scenario: Scenario, motion: pl.DataFrame, record: pl.DataFrame) -> Path:
+    """Write what was flown into a folder: record, motion and scenario; the record's path."""
+    content = io.BytesIO()
+    record.write_parquet(content)
+    write_whole(folder / "motion.csv", motion.write_csv())
+    write_whole(folder / "scenario.yaml", documents(scenario)["scenario.yaml"])
+    return write_whole(folder / RECORD, content.getvalue())
 
 
 def _undisturbed(scenario: Scenario) -> Scenario:
@@ -820,10 +834,6 @@ def lines_of(found: Identified) -> list[list[str]]:
 
 def write(folder: Path, found: Identified, source: str, command: str) -> Path:
     """Write `robot.yaml` (for `robot.realism`), and the page, into a folder; the page's path."""
-    from vstestbed.core.files import write_whole
-    from vstestbed.report.canvas import publish, style
-    from vstestbed.report.pages import write_page
-
     preset = folder / "robot.yaml"
     text = f"# found in {source}; robot.realism: this file\n{as_yaml(robot_preset(found))}"
     write_whole(preset, text)
@@ -872,9 +882,6 @@ CAPTION = (
 
 
 def _drawn(found: Identified) -> Figure:
-    from vstestbed.report.canvas import new_figure
-    from vstestbed.report.marks import LINE_COLORS
-
     drawn = new_figure(4.4, 7.16)
     t = found.record["t"].to_numpy()
     kinds = {"q_": "joints [rad, m]", "u_px_": "markers u [px]"}

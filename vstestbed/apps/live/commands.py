@@ -1,4 +1,4 @@
-"""The command `live`. Heavy imports are inside the functions."""
+"""The command `live`."""
 
 from __future__ import annotations
 
@@ -10,11 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vstestbed.cli import complete
-from vstestbed.cli.options import (
-    Plugins,
-    Settings,
-    settings_of,
-)
+from vstestbed.cli.options import Plugins, Settings, settings_of
+from vstestbed.cli.progress import show_notes
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 
 if TYPE_CHECKING:
@@ -48,8 +45,6 @@ def live(
         raise EnvironmentLackError(
             "the live view needs viser, which is not installed", "pip install 'vstestbed[live]'"
         )
-    from vstestbed.cli.progress import show_notes
-
     show_notes(True)
     folder = Path(what)
     app: PlaybackApp | LiveApp
@@ -63,9 +58,9 @@ def live(
         app = playback.PlaybackApp(folder, port, plugin or [])
     else:
         from vstestbed.apps.live import app as running
-        from vstestbed.apps.live.run import Settings as LiveSettings
 
-        app = running.LiveApp(LiveSettings(what, settings_of(set_), seed, plugin or []), port)
+        settings = running.Settings(what, settings_of(set_), seed, plugin or [])
+        app = running.LiveApp(settings, port)
     typer.echo(f"{app.address}   (Ctrl-C ends it)", err=True)
     if not no_open and sys.stderr.isatty():
         import webbrowser

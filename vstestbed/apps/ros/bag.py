@@ -58,6 +58,9 @@ from vstestbed.core.foreign import foreign
 from vstestbed.core.geometry import Array
 from vstestbed.loop.ego_motion import believed_mount, mount_at
 from vstestbed.loop.episode import BY_HAND, Episode
+from vstestbed.report.canvas import new_figure, publish, style
+from vstestbed.report.marks import LINE_COLORS
+from vstestbed.report.pages import write_page
 from vstestbed.report.recorded_run import (
     ExportFormat,
     ExportRequest,
@@ -564,9 +567,6 @@ def record_of(
 
 def write_replay(folder: Path, found: Replayed, source: str, command: str) -> Path:
     """Write `replay.parquet` and the page into a folder; the page's path."""
-    from vstestbed.report.canvas import publish, style
-    from vstestbed.report.pages import write_page
-
     content = io.BytesIO()
     found.table.write_parquet(content)
     write_whole(folder / "replay.parquet", content.getvalue())
@@ -616,9 +616,6 @@ CAPTION = (
 
 
 def _drawn(found: Replayed) -> Figure:
-    from vstestbed.report.canvas import new_figure
-    from vstestbed.report.marks import LINE_COLORS
-
     drawn = new_figure(5.2, 7.16)
     t = found.table["t"].to_numpy()
     recorded = np.where(np.abs(found.recorded) < LARGEST_DRAWN, found.recorded, np.nan)

@@ -1,27 +1,18 @@
-"""The commands `ros` and `replay`: nodes of ROS 2, and recorded bags. Heavy imports are inside the
-functions.
-"""
+"""The commands `ros` and `replay`: nodes of ROS 2, and recorded bags."""
 
 from __future__ import annotations
 
 import logging
-import signal
-import threading
-from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
-from vstestbed.cli.options import Plugins, ScenarioName, Settings, load_scenario
-from vstestbed.core.apps import must_be_here
-from vstestbed.core.errors import EnvironmentLackError, ParameterError
-from vstestbed.core.shares import STOPS
-
-if TYPE_CHECKING:
-    from vstestbed.apps.ros.link import Link
-    from vstestbed.apps.ros.robot import Pace
-    from vstestbed.scenario.scenario import Scenario
+from vstestbed.cli.options import Plugins, Quiet, ScenarioName, Settings, load_scenario
+from vstestbed.cli.progress import show_notes
+from vstestbed.cli.results import command_line
+from vstestbed.core import files
+from vstestbed.core.errors import ParameterError
 
 Role = Literal["robot", "law", "excite", "start", "stop", "reset"]
 Remap = Annotated[
@@ -103,71 +94,32 @@ def ros(
         list[str] | None,
         typer.Option(metavar="tcp/HOST:PORT", help="zenoh: the address to be found at."),
     ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")] = False,
+    quiet: Quiet = False,
     plugin: Plugins = None,
 ) -> None:
     """The simulated robot, or the law, as a node of ROS 2."""
-    from vstestbed.apps.ros.law import command_topic
-    from vstestbed.apps.ros.link import connected, rules_of
-    from vstestbed.cli.progress import show_notes
+    from vstestbed.apps.ros import link, roles
 
     # who waits for commands has not ended
     idle = ["stop.rest_after_s=null"] if role == "robot" else []
-    given, ended = load_scenario(scenario, [*idle, *(set_ or [])], plugin, seed), threading.Event()
+    given = load_scenario(scenario, [*idle, *(set_ or [])], plugin, seed)
     show_notes(not quiet)
     _heed(param or [])
-    # one that is ignored (`nohup`) stays so
-    before = {
-        number: handler
-        for number in STOPS
-        if (handler := signal.getsignal(number)) != signal.SIG_IGN
-    }
-    for number in before:
-        signal.signal(number, lambda *_: ended.set())
-    try:
-        node = f"vstestbed_{role}"
-        with connected(node, backend, rules_of(remap or []), connect or (), listen or ()) as link:
-            if role == "law":
-                from vstestbed.apps.ros.law import LawNode
-
-                servo = LawNode(given, link, watchdog, start)
-                _waits(quiet, "waits for pictures")
-                servo.spin(ended)
-                if not quiet:
-                    typer.echo(
-                        (
-                            f"{len(servo.took_s)}"
-                            f" twists{_after(servo.took_s, 'after its picture each')}"
-                        ),
-                        err=True,
-                    )
-                    for line in servo.servo.senses.passed.lines():
-                        typer.echo(line, err=True)
-            elif role == "excite":
-                must_be_here("identify", "--role excite")
-                from vstestbed.apps.identify.identification import motion_of
-                from vstestbed.apps.ros.law import excite
-
-                link.publishes(command_topic(given))
-                motion = motion_of(given).drop("t").to_numpy()
-                _waits(quiet, f"sends {len(motion)} commands, one a picture's period")
-                typer.echo(
-                    f"{excite(given, link, motion, ended)} of {len(motion)} commands were sent",
-                    err=True,
-                )
-            elif role == "robot":
-                _fly(given, link, pace, truth, watchdog, bag, out, quiet, ended)
-            else:
-                _tell(link, role)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def _waits(quiet: bool, words: str) -> None:
-    """Say what a node does until it is ended: it may be for ever."""
-    if not quiet:
-        typer.echo(f"{words}   (Ctrl-C ends it)", err=True)
+    name, rules = f"vstestbed_{role}", link.rules_of(remap or [])
+    with (
+        roles.ended_by_signals() as ended,
+        link.connected(name, backend, rules, connect or (), listen or ()) as others,
+    ):
+        if role == "law":
+            roles.servo(roles.LawNode(given, others, watchdog, start), quiet, ended)
+        elif role == "excite":
+            roles.excited(given, others, quiet, ended)
+        elif role == "robot":
+            # refuses before anything is written
+            robot = roles.RobotNode(given, others, pace, truth, watchdog, ended)
+            raise typer.Exit(roles.simulate(robot, given, bag, out, quiet))
+        else:
+            roles.tell(others, role)
 
 
 def _heed(parameters: list[str]) -> None:
@@ -189,71 +141,6 @@ def _heed(parameters: list[str]) -> None:
         logging.getLogger("vstestbed").warning(note, words)
 
 
-def _after(took_s: list[float], words: str) -> str:
-    """`, 1.20 ms WORDS (median)`; nothing where nothing was timed."""
-    from vstestbed.apps.ros.law import median_ms
-
-    return f", {median_ms(took_s):.2f} ms {words} (median)" if took_s else ""
-
-
-def _tell(link: Link, service: str) -> None:
-    from vstestbed.apps.ros.link import NODES
-
-    link.publishes(*(f"/{name}/{service}" for name in NODES[:2]))
-    answers = [
-        f"{name}: {answer[1]}" for name in NODES[:2] if (answer := link.call(f"/{name}/{service}"))
-    ]
-    if not answers:
-        raise EnvironmentLackError(
-            "no node has answered",
-            "start `vstestbed ros ... --role law`; is --connect its address?",
-        )
-    typer.echo("\n".join(answers))
-
-
-def _fly(
-    given: Scenario,
-    link: Link,
-    pace: Pace,
-    truth: bool,
-    watchdog: float | None,
-    bag: Path | None,
-    out: Path | None,
-    quiet: bool,
-    ended: threading.Event,
-) -> None:
-    from vstestbed.apps.ros.bag import Bag
-    from vstestbed.apps.ros.robot import RobotNode
-    from vstestbed.cli.ending import GOAL_REACHED, NOT_REACHED
-    from vstestbed.cli.progress import Progress, summary_text
-    from vstestbed.core.files import make_parents, must_be_new
-    from vstestbed.loop.episode import BY_HAND
-    from vstestbed.studies.run_folder import new_folder, run_into
-
-    if bag is not None:
-        must_be_new(bag, "give a new folder with --bag")
-    # refuses before anything is written
-    node = RobotNode(given, link, pace, truth, watchdog, ended)
-    _waits(quiet, f"simulates {given.name}")
-    folder = new_folder(given, out)
-    # before it flies: it is written first
-    given = given.but(description=f"{given.description} {BY_HAND} commanded from outside.".strip())
-    with (
-        Progress(given, shown=not quiet) as progress,
-        nullcontext() if bag is None else Bag(make_parents(bag)) as node.record,
-    ):
-        recording = run_into(folder, given, "none", [progress], progress.say, fly=node.fly)
-    if not quiet:
-        typer.echo(summary_text(recording, folder, filmed=False), err=True)
-        words = (
-            f"{len(node.answered_s)} pictures were"
-            f" answered{_after(node.answered_s, 'after they were sent')}"
-        )
-        dropped = f"; {node.dropped} commands were dropped: {node.refused}" if node.dropped else ""
-        typer.echo(f"{words}; at most {node.behind_s:.3f} s behind the clock{dropped}", err=True)
-    raise typer.Exit(GOAL_REACHED if recording.outcome.success else NOT_REACHED)
-
-
 def replay(
     bag: Annotated[
         Path,
@@ -269,26 +156,23 @@ def replay(
         typer.Option(metavar="DIR", help="A new folder for page and table. [default: BAG_replay]"),
     ] = None,
     remap: Remap = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")] = False,
+    quiet: Quiet = False,
     plugin: Plugins = None,
 ) -> None:
     """A recorded bag through a scenario's controller: where its twists differ from the recorded
     ones.
     """
-    from vstestbed.apps.ros.bag import replay as replayed
-    from vstestbed.apps.ros.bag import write_replay
+    from vstestbed.apps.ros import bag as bags
     from vstestbed.apps.ros.link import remapped
-    from vstestbed.cli.progress import show_notes
-    from vstestbed.cli.results import command_line
-    from vstestbed.core.files import must_be_new, whole_folder
 
-    given, beside = load_scenario(scenario, set_, plugin, None), bag.resolve()
+    given = load_scenario(scenario, set_, plugin, None)
+    beside = bag.resolve()
     path = out or beside.with_name(f"{beside.stem}_replay")
-    must_be_new(path, "give a new folder with --out")
+    files.must_be_new(path, "give a new folder with --out")
     show_notes(not quiet)
-    found = replayed(bag, given, remapped(remap or []))
-    with whole_folder(path) as folder:
-        write_replay(folder, found, bag.name, command_line())
+    found = bags.replay(bag, given, remapped(remap or []))
+    with files.whole_folder(path) as folder:
+        bags.write_replay(folder, found, bag.name, command_line())
     if not quiet:
         differs = found.differs
         words = (

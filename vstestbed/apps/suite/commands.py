@@ -1,20 +1,16 @@
-"""The commands `suite` and `submit`: the same tasks for any law.
-
-Heavy imports are inside the functions.
-"""
+"""The commands `suite` and `submit`: the same tasks for any law."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from vstestbed.cli.ending import INTERRUPTED, NOT_REACHED
-
-if TYPE_CHECKING:
-    from vstestbed.apps.suite.scores import Score
+from vstestbed.cli.options import Quiet
+from vstestbed.cli.progress import Counter, show_notes
+from vstestbed.core import files
 
 
 def suite(
@@ -74,35 +70,24 @@ def suite(
         Path | None,
         typer.Option(metavar="DIR", help="Folder of the results; one that is there goes on."),
     ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Fly the suite's tasks by its laws and yours: successes, times and ranks, each with its
     interval.
     """
-    from vstestbed.apps.suite.suite import opened
-    from vstestbed.cli.progress import Counter, show_notes
-    from vstestbed.core.files import make_folder, new_folder
-    from vstestbed.studies.comparison import Shard, must_be_known
+    from vstestbed.apps.suite import scores, suite
+    from vstestbed.studies import comparison
 
-    must_be_known(executor)
+    comparison.must_be_known(executor)
+    parent = Path("runs") / "suite"
     if check is not None:
-        _check(
-            check,
-            new_folder(Path("runs") / "suite", out, "give a new one"),
-            jobs,
-            (name, quick, word),
-        )
+        _check(check, files.new_folder(parent, out), jobs, (name, quick, word))
         return
-    entry, share = (
-        opened(law, name, quick, word, alone),
-        None if shard is None else Shard.read(shard),
-    )
+    entry = suite.opened(law, name, quick, word, alone)
+    share = None if shard is None else comparison.Shard.read(shard)
     show_notes(not quiet)
-    folder = make_folder(
-        out
-        if out is not None and out.exists()
-        else new_folder(Path("runs") / "suite", out, "give a new one")
-    )
+    goes_on = out is not None and out.exists()
+    folder = files.make_folder(out) if goes_on else files.new_folder(parent, out)
     entry.mark(folder)
     say = (lambda words: None) if quiet else lambda words: typer.echo(words, err=True)
     if merge:
@@ -128,33 +113,22 @@ def suite(
     found = entry.write(folder, runs)
     if quiet:
         return
-    lines = [*_ranking(found)]
+    lines = [*scores.ranking(found)]
     lines += [f"{one} takes no part in {task}: {why}" for (one, task), why in entry.blank.items()]
     typer.echo("\n".join([*lines, f"  results   {folder} (open report.html)"]), err=True)
 
 
-def _ranking(found: Sequence[Score]) -> Iterator[str]:
-    from vstestbed.apps.suite.scores import overall
-
-    for one in overall(found):
-        rank = f"mean rank {one.rank.mean:.1f} [{one.rank.low:.1f}, {one.rank.high:.1f}]"
-        yield (
-            f"{one.law}: {rank} over {one.tasks} tasks,"
-            f" place {one.place} of the {one.of} laws that flew them"
-        )
-
-
 def _check(file: Path, folder: Path, jobs: int | None, asked: tuple[str, bool, str | None]) -> None:
     """Say whether a submission agrees with what is flown here; exit 3 where it does not."""
-    from vstestbed.apps.suite.submission import Asked, check
+    from vstestbed.apps.suite import scores, submission
 
-    found = check(file, folder, jobs, asked=Asked(*asked))
+    found = submission.check(file, folder, jobs, asked=submission.Asked(*asked))
     agree = found.runs - len(found.otherwise)
     lines = [
         *found.otherwise,
         f"{agree} of {found.runs} runs that were flown again agree",
         *found.flattering,
-        *_ranking(found.scores),
+        *scores.ranking(found.scores),
     ]
     typer.echo(
         "\n".join(
@@ -178,8 +152,7 @@ def submit(
     `suite --check` flies again in part.
     """
     from vstestbed.apps.suite.submission import pack
-    from vstestbed.core.files import must_be_new
 
     path = out or folder.with_name(f"{folder.resolve().name}.zip")
-    must_be_new(path, "give a new file with --out")
+    files.must_be_new(path, "give a new file with --out")
     typer.echo(str(pack(folder, path)), err=True)

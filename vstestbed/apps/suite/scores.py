@@ -162,6 +162,16 @@ class Standing(NamedTuple):
     of: int
 
 
+def ranking(found: Sequence[Score]) -> Iterator[str]:
+    """A line on each law: its mean rank, and its place."""
+    for one in overall(found):
+        rank = f"mean rank {one.rank.mean:.1f} [{one.rank.low:.1f}, {one.rank.high:.1f}]"
+        yield (
+            f"{one.law}: {rank} over {one.tasks} tasks,"
+            f" place {one.place} of the {one.of} laws that flew them"
+        )
+
+
 def overall(found: Sequence[Score]) -> list[Standing]:
     """Where each law stands; those that flew the most tasks first, then by the mean rank. It stands
     beside its parts, never for them.

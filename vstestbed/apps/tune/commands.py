@@ -164,8 +164,8 @@ def _tune_comparison(
 ) -> None:
     """Tune each law of a comparison, then compare them."""
     from vstestbed.apps.tune.tuned import tune_comparison
+    from vstestbed.core.files import study_folder
     from vstestbed.report.comparison.tables import statistics_text
-    from vstestbed.studies.folder import study_folder
 
     def say(words: str) -> None:
         if not quiet:

@@ -32,7 +32,7 @@ from vstestbed.apps.tune.search_space import (
     write_record,
 )
 from vstestbed.core.errors import ParameterError, RunFolderError, ScenarioError
-from vstestbed.core.files import write_table
+from vstestbed.core.files import study_folder, write_table
 from vstestbed.core.planar import block_of
 from vstestbed.core.quantity import Seed, TighterBounds
 from vstestbed.core.spec import spec
@@ -55,7 +55,7 @@ from vstestbed.studies.comparison.plan import (
     controllers,
 )
 from vstestbed.studies.comparison.runs import Runner
-from vstestbed.studies.folder import RESUMABLE, resumed_folder, study_folder, write_plan
+from vstestbed.studies.folder import RESUMABLE, resumed_folder, write_plan
 from vstestbed.studies.pools import Pool, clear, must_be_known, must_not_be_worker, pool_of, workers
 from vstestbed.tasks.metrics import FIGURES, METRICS, Metric, own_metrics
 

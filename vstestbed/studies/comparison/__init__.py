@@ -14,7 +14,7 @@ from typing import Any
 import polars as pl
 
 from vstestbed.core.errors import EnvironmentLackError, OutputError, ParameterError, RunFolderError
-from vstestbed.core.files import write_json, write_table
+from vstestbed.core.files import study_folder, write_json, write_table
 from vstestbed.core.planar import block_of
 from vstestbed.core.registry import REGISTRIES
 from vstestbed.core.shares import at_once
@@ -50,7 +50,7 @@ from vstestbed.studies.comparison.record import (
 )
 from vstestbed.studies.comparison.runs import OnDone, Runner
 from vstestbed.studies.comparison.shards import Shard, Share, gather, must_be_done, must_be_whole
-from vstestbed.studies.folder import RESUMABLE, resumed_folder, study_folder, write_plan
+from vstestbed.studies.folder import RESUMABLE, resumed_folder, write_plan
 from vstestbed.studies.pools import clear, must_be_known, must_not_be_worker, pool_of, workers
 
 __all__ = [
