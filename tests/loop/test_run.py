@@ -371,8 +371,7 @@ class TestTruthFence:
         """Reference and goal views, which the law is told, are made of an observation and an error
         in the image.
         """
-        # `rules.py` reads it in a function
-        judges = {"Frame", "ToleranceMonitor", "LandingMonitor", "InsertionMonitor", "KeepOut"}
+        judges = {"Frame", "ToleranceMonitor", "LandingMonitor", "InsertionMonitor"}
         assert self.readers("tasks", "truth", "T_world_camera", "hidden") == judges
         for task in GOALS.members.values():
             for name, arguments in (

@@ -188,10 +188,11 @@ def _rendered_by(renderer: Literal["gl", "rays"]) -> tuple[Array, str]:
 
 def _codec() -> Finding:
     import av
+    from av.error import FFmpegError
 
     try:
         av.Codec("libx264", "w")
-    except (av.FFmpegError, ValueError) as error:
+    except (FFmpegError, ValueError) as error:
         return Finding(
             "video",
             False,

@@ -79,7 +79,7 @@ def _translation(R: Array, A: Array, B: Array) -> Array:
     """X (4, 4) of its rotation: (R_A - I) t = R t_B - t_A, by least squares."""
     C = (A[:, :3, :3] - np.eye(3)).reshape(-1, 3)
     d = (B[:, :3, 3] @ R.T - A[:, :3, 3]).ravel()
-    t: Array = np.linalg.lstsq(C, d, rcond=None)[0]
+    t: Array = np.asarray(np.linalg.lstsq(C, d, rcond=None)[0], dtype=float)
     return posed(R, t)
 
 

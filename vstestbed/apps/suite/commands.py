@@ -86,8 +86,10 @@ def suite(
     entry = suite.opened(law, name, quick, word, alone)
     share = None if shard is None else comparison.Shard.read(shard)
     show_notes(not quiet)
-    goes_on = out is not None and out.exists()
-    folder = files.make_folder(out) if goes_on else files.new_folder(parent, out)
+    if out is not None and out.exists():
+        folder = files.make_folder(out)
+    else:
+        folder = files.new_folder(parent, out)
     entry.mark(folder)
     say = (lambda words: None) if quiet else lambda words: typer.echo(words, err=True)
     if merge:
