@@ -153,7 +153,7 @@ def first_scenario(arm: ArmFile, start: Posture) -> str:
     chain = arm.chain
     target = Pose.of(start.T_world_target)
     own = speeds_in(place_of_file(arm.file))
-    guessed = np.where(chain.slides, SLIDE_SPEED, SPEED).tolist()
+    guessed: list[float] = np.where(chain.slides, SLIDE_SPEED, SPEED).tolist()
     speeds = [own.get(name, speed) for name, speed in zip(chain.names, guessed, strict=True)]
     torques = ""
     if not np.isfinite(chain.torque).all():
