@@ -416,13 +416,14 @@ class MujocoPlant(Plant):
             raise ParameterError(
                 "physics.step_s", "is too long for the vehicle's springs and contacts", self.step_s
             )
-        for root, T in ((stage.root, T_robot), (stage.leader, T_leader)):
+        planar = self._robot.base == "planar"
+        for root, T, on_wheels in ((stage.root, T_robot, planar), (stage.leader, T_leader, True)):
             if root is None:
                 continue
             # What settled is the height; x, y and heading are the scenario's, whatever the
             # settling did to them.
             settled = root.pose(data)
-            if root is stage.leader or self._robot.base == "planar":
+            if on_wheels:
                 T[2, 3] = settled[2, 3]
             if root is stage.root and any(effect.uneven for effect in self._robot.acting):
                 tilt = inverse(pose_on_ground(place_of(settled))) @ settled

@@ -195,9 +195,10 @@ def windows_round(
         panels: index of the camera's panel in which each object is; None: of a camera with one
             panel, in others it is None.
     """
-    if panels is None and len(camera.panels) > 1:
-        return None
-    panels = panels or [0] * len(boxes)
+    if panels is None:
+        if len(camera.panels) > 1:
+            return None
+        panels = [0] * len(boxes)
     out: list[Window] = []
     for box, move, panel in zip(boxes, moves, panels, strict=True):
         window = window_round(box, move, camera.panels[panel].lens, margin) if box else None
