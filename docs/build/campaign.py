@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from docs.build.kept import FOLDER, Row, _columns, _rows, _text, place_of, steady
+from docs.build.kept import FOLDER, Row, _columns, _text, place_of, read, steady
 from vstestbed.cli.ending import exit_code
 from vstestbed.cli.options import vary_of
 from vstestbed.core.errors import ParameterError, nearest
@@ -168,7 +168,7 @@ def _run(runner: Runner, processes: int) -> None:
 
 def _kept(command: str) -> list[Row]:
     place = place_of(command)
-    return _rows(json.loads(place.read_text(encoding="utf-8"))["result"]) if place.is_file() else []
+    return read(place) if place.is_file() else []
 
 
 def _key(row: Row) -> str:

@@ -222,11 +222,6 @@ def actuator(name: str, of: str) -> Any:
     return model(of).actuator(name)
 
 
-def mass(name: str, of: str) -> float:
-    """Mass of a body and of all that hangs on it [kg]."""
-    return float(model(of).body_subtreemass[model(of).body(name).id])
-
-
 def preset(kind: str, level: Level, field: str) -> str:
     """What a level of `realism` fills a robot's field with, as a scenario has it;
     "-" for nothing.

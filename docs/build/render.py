@@ -1,36 +1,11 @@
-"""The rendered parts of the pages, filled in place with the results of commands.
-
-A page is edited as it is. What it shows of a result stands between two comments, and those before
-it say by Jinja what it is:
-
-<!-- values
-arm = run("arm_ibvs")
-time = arm.time_to_converge_s | n(1)
--->
-The arm converges after <!--time-->17.3<!--/--> s.
-
-<!-- build
-| law | converged |
-|---|---|
-{% for law in laws | each("law") %}
-| `{{ law }}` | {{ laws | where(law=law) | reached }} |
-{% endfor %}
--->
-...
-<!-- end -->
-
-<!-- build: under("run arm_ibvs") -->
-...
-<!-- end -->
+"""What the marks of the pages may call (`docs/build/marks.py`): results of commands, and how they
+are written.
 """
 
 from __future__ import annotations
 
-import difflib
 import functools
-import itertools
 import math
-import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -69,13 +44,6 @@ from vstestbed.tasks.metrics import KNOWN, RUN_COLUMNS, own_metrics
 REPOSITORY = Path(__file__).resolve().parents[2]
 FOLDERS = ("docs", "scenarios", "models", "tests", "vstestbed")
 """Those with pages."""
-MARK = re.compile(
-    r"(^<!-- (?:values|build)\b.*?-->\n|^<!-- end -->\n|<!--[a-z][\w.]*-->|<!--/-->)",
-    re.MULTILINE | re.DOTALL,
-)
-BLOCK_END, VALUE_END = "<!-- end -->\n", "<!--/-->"
-VALUE = re.compile(r"^(\w+) = (.+(?:\n +.+)*)", re.MULTILINE)
-"""A line of the block of values; lines that are indented go on with it."""
 
 
 def pages() -> list[Path]:
@@ -86,85 +54,7 @@ def pages() -> list[Path]:
     return sorted(page.relative_to(REPOSITORY) for page in found)
 
 
-def shown(text: str) -> str:
-    """What a reader sees of a page: its text without the marks."""
-    return "".join(MARK.split(text)[::2])
-
-
-def filled(text: str, kept: Kept) -> str:
-    """The text of a page, with its rendered parts as they are now."""
-    return "".join(mark + words for mark, words in parts(text, kept))
-
-
-def differences(page: Path, before: str, now: str) -> list[str]:
-    """What differs between two texts of a page, line by line; [] where nothing does."""
-    lines = before.splitlines(), now.splitlines()
-    return [*difflib.unified_diff(*lines, str(page), str(page), lineterm="", n=0)]
-
-
-def parts(text: str, kept: Kept) -> Iterator[tuple[str, str]]:
-    """The marks of a page in their order, each with the words that follow it now; before them what
-    follows no mark.
-
-    Raises:
-        ValueError: a mark is not closed, or closes nothing, or has another form.
-    """
-    first, *rest = MARK.split(text)
-    marks, texts = rest[::2], rest[1::2]
-    for mark, following in itertools.pairwise(["", *marks, ""]):
-        if closing_of(mark) != (following if following in (BLOCK_END, VALUE_END) else ""):
-            raise ValueError(f"a mark is missing between {mark!r} and {following!r}")
-    environment = environment_of(kept)
-    names: dict[str, Any] = {}
-    yield "", first
-    for mark, words in zip(marks, texts, strict=True):
-        if mark in (BLOCK_END, VALUE_END):
-            yield mark, words
-            continue
-        try:
-            module = environment.from_string(jinja_of(mark)).make_module(names)
-        except Exception as error:  # of all that a page may call; raised again with its place
-            error.add_note(mark)
-            raise
-        names |= {name: value for name, value in vars(module).items() if name[0] != "_"}
-        yield mark, written(str(module), mark, words)
-
-
-def closing_of(mark: str) -> str:
-    """The mark that must come next; "" where it may be any that opens."""
-    if mark.startswith("<!-- build"):
-        return BLOCK_END
-    return VALUE_END if re.match(r"<!--\w", mark) else ""
-
-
-def jinja_of(mark: str) -> str:
-    """The template that a mark stands for."""
-    words = mark.strip().removeprefix("<!--").removesuffix("-->")
-    if words.startswith(" values\n"):
-        return VALUE.sub(r"{% set \1 = \2 %}", words.removeprefix(" values\n"))
-    if words.startswith(" build\n"):
-        return words.removeprefix(" build\n")
-    return "{{" + words.removeprefix(" build:") + "}}"
-
-
-def written(result: str, mark: str, words: str) -> str:
-    """A result as it stands behind its mark, where `words` stand now.
-
-    Raises:
-        ValueError: a block of values has a line that is none.
-    """
-    closing = closing_of(mark)
-    if closing == BLOCK_END:
-        rows = result.strip("\n")
-        return rows and f"{rows}\n"
-    if closing == VALUE_END:  # which may begin a line, as a comment may not
-        return words[: len(words) - len(words.lstrip())] + result
-    if result.strip():
-        raise ValueError(f"no line `name = expression`: {result.strip()}")
-    return words
-
-
-def environment_of(kept: Kept) -> jinja2.Environment:
+def environment(kept: Kept) -> jinja2.Environment:
     """What the marks of a page may call."""
     made = jinja2.Environment(
         undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
@@ -172,7 +62,7 @@ def environment_of(kept: Kept) -> jinja2.Environment:
     made.filters |= {
         filter.__name__: filter
         for filter in (
-            *(differs, each, effects, failed, failed_seeds, in_reach, interval, judged, least),
+            *(differs, each, effects, failed, failed_seeds, in_reach, interval, judged),
             *(least_gain, median, ratios, reached, same_starts, shifted, tasks, typical, where),
             worst,
         )
@@ -183,7 +73,7 @@ def environment_of(kept: Kept) -> jinja2.Environment:
         for function in (
             *(comparisons, conditions, gain_of, plan, scenarios),
             *(parameters.actuator, parameters.arm_preset, parameters.fields, parameters.geom),
-            *(parameters.joint, parameters.mass, parameters.preset, parameters.puma_joints),
+            *(parameters.joint, parameters.preset, parameters.puma_joints),
             *(parameters.puma_links, parameters.strain_waves),
         )
     }
@@ -354,11 +244,6 @@ def median(rows: Iterable[Row], name: str, factor: float = 1, every: bool = Fals
 def worst(rows: Iterable[Row], name: str, factor: float = 1) -> float:
     """The largest value of the runs that reached the goal."""
     return max(_values(rows, name, factor))
-
-
-def least(rows: Iterable[Row], name: str, factor: float = 1) -> float:
-    """The smallest value of the runs that reached the goal."""
-    return min(_values(rows, name, factor))
 
 
 def span(

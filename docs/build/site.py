@@ -18,7 +18,8 @@ from typing import Any
 
 from mkdocs.structure.files import File
 
-from docs.build.kept import place_of
+from docs.build.kept import place_of, read
+from docs.build.marks import shown
 from docs.build.render import judged
 from vstestbed.cli.describe import _default
 from vstestbed.core.fields import DIMENSIONLESS, class_text, fields, without_unit
@@ -109,7 +110,9 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
-    """Links between the repository's files become links between the site's."""
+    """The page without its marks; links between the repository's files become links between the
+    site's.
+    """
     here = posixpath.dirname(page.file.src_uri)
     inside = {uri: path for path, uri in PAGES.items()}.get(
         page.file.src_uri, f"docs/{page.file.src_uri}"
@@ -134,7 +137,7 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     return (
         markdown
         if page.file.src_uri.startswith(("reference/", "scenarios/")) and inside not in PAGES
-        else LINK.sub(changed, markdown)
+        else LINK.sub(changed, shown(markdown))
     )
 
 
@@ -177,7 +180,7 @@ def scenario_page(name: str, path: Path) -> str:
         "",
     ]
     if (kept := place_of(f"run {name}")).is_file():
-        it = json.loads(kept.read_text(encoding="utf-8"))["result"]
+        it = read(kept)
         lines += [
             "| ends as | after [s] | judged error (its limit) |",
             "|---|---|---|",

@@ -209,11 +209,6 @@ class Suite:
             (s for s in self.scores if s.task == task and s.law != but), key=lambda s: s.value.mean
         )
 
-    def place(self, law: str, task: str) -> int:
-        """The place of a law in a task by its mean, from 1."""
-        of_task = sorted((s for s in self.scores if s.task == task), key=lambda s: s.value.mean)
-        return [s.law for s in of_task].index(law) + 1
-
     def difference(self, task: str, one: str, other: str, start: str = "") -> IntervalEstimate:
         """Mean of one law's number less the other's on the starts whose words have `start` in them,
         with interval and p-value.
