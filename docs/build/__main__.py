@@ -11,9 +11,9 @@ import fnmatch
 import sys
 from pathlib import Path
 
-from docs.build.kept import FOLDER, Kept, place_of
+from docs.build.kept import FOLDER, REPOSITORY, Kept, place_of
 from docs.build.marks import differences, filled
-from docs.build.render import REPOSITORY, environment, pages
+from docs.build.pages import environment, pages
 from vstestbed.core.files import write_whole
 
 

@@ -1,6 +1,4 @@
-"""What the marks of the pages may call (`docs/build/marks.py`): results of commands, and how they
-are written.
-"""
+"""What pages ask of results, and how it is written: each function here is known to their marks."""
 
 from __future__ import annotations
 
@@ -8,25 +6,18 @@ import functools
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from pathlib import Path
-from statistics import median as median_of
 from typing import Any
 
-import jinja2
 import polars as pl
 import yaml
 from typer.testing import CliRunner
 
 import vstestbed as vs
-from docs.build import parameters
-from docs.build.conditions import comparison_of, conditions, conditions_line
-from docs.build.kept import Kept, Row
-from docs.build.suite import Suite
-from docs.build.verdicts import Verdicts
+from docs.build.conditions import comparison_of
+from docs.build.kept import Row
 from vstestbed.apps.bench.bench import BesideFloor
 from vstestbed.cli.app import program
 from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios
-from vstestbed.loop.columns import column_texts
 from vstestbed.report.comparison.grid import ALL, ERROR, Grid, real
 from vstestbed.report.comparison.pairs import pairs
 from vstestbed.report.comparison.results import LIMIT, TIME, ComparisonResults
@@ -39,58 +30,6 @@ from vstestbed.report.comparison.statistics import (
 )
 from vstestbed.report.comparison.tasks import AMOUNT, cells, markdown, over_all_tasks
 from vstestbed.studies.comparison.folder import results_of
-from vstestbed.tasks.metrics import KNOWN, RUN_COLUMNS, own_metrics
-
-REPOSITORY = Path(__file__).resolve().parents[2]
-FOLDERS = ("docs", "scenarios", "models", "tests", "vstestbed")
-"""Those with pages."""
-
-
-def pages() -> list[Path]:
-    """The pages, relative to the repository."""
-    found = [*REPOSITORY.glob("*.md")]
-    for folder in FOLDERS:
-        found += (REPOSITORY / folder).rglob("*.md")
-    return sorted(page.relative_to(REPOSITORY) for page in found)
-
-
-def environment(kept: Kept) -> jinja2.Environment:
-    """What the marks of a page may call."""
-    made = jinja2.Environment(
-        undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    made.filters |= {
-        filter.__name__: filter
-        for filter in (
-            *(differs, each, effects, failed, failed_seeds, in_reach, interval, judged),
-            *(least_gain, median, ratios, reached, same_starts, shifted, tasks, typical, where),
-            worst,
-        )
-    }
-    made.filters |= {"code": "`{}`".format, "g": parameters.plain, "n": number, "range": span}
-    made.globals |= {
-        function.__name__: function
-        for function in (
-            *(comparisons, conditions, gain_of, plan, scenarios),
-            *(parameters.actuator, parameters.arm_preset, parameters.fields, parameters.geom),
-            *(parameters.joint, parameters.preset, parameters.puma_joints),
-            *(parameters.puma_links, parameters.strain_waves),
-        )
-    }
-    made.globals |= {
-        "command": kept,
-        "grey_kb": (REPOSITORY / "scenarios" / "policies" / "grey.npz").stat().st_size / 1e3,
-        "log_columns": column_texts,
-        "needed": functools.cache(vs.starts_needed),
-        "run": lambda words: kept(f"run {words}"),
-        "sentences": lambda command: sentences(kept(command), command),
-        "suite": functools.cache(Suite),
-        "summary_numbers": lambda: (*KNOWN.values(), *own_metrics().values()),
-        "table_columns": RUN_COLUMNS.items,
-        "under": conditions_line,
-        "verdicts": functools.cache(Verdicts),
-    }
-    return made
 
 
 def scenarios(robots: Iterable[str]) -> list[tuple[str, str]]:
@@ -220,20 +159,17 @@ def same_starts(rows: Iterable[Row], others: Iterable[Row]) -> list[Row]:
     return [row for row in rows if row["seed"] in seeds]
 
 
-def in_reach(rows: Iterable[Row]) -> list[Row]:
-    """The rows whose start the robot reaches."""
-    return [row for row in rows if row["outcome"] != "unreachable"]
-
-
 def typical(
     rows: Iterable[Row], name: str, places: int = 1, factor: float = 1, every: bool = False
 ) -> str:
-    """Median and quartiles over the runs that reached the goal, or over all:
-    `12.7 [11.9, 13.1]`.
+    """Median and quartiles over the runs that reached the goal, or over all: `12.7 [11.9, 13.1]`;
+    one number where they are alike.
     """
     q1, median, q3, _ = quartiles(_values(rows, name, factor, every))
-    texts = [number(value, places) for value in (median, q1, q3)]
-    return texts[0] if len(set(texts)) == 1 else f"{texts[0]} [{texts[1]}, {texts[2]}]"
+    text = number(median, places)
+    if text == number(q1, places) == number(q3, places):
+        return text
+    return _within(median, q1, q3, places)
 
 
 def median(rows: Iterable[Row], name: str, factor: float = 1, every: bool = False) -> float:
@@ -264,9 +200,7 @@ def differs(
     `-0.9 [-1.5, -0.4]`.
     """
     found = paired_difference(*_pairs(rows, others, name, every))
-    return (
-        f"{number(found.mean, places)} [{number(found.low, places)}, {number(found.high, places)}]"
-    )
+    return _within(found.mean, found.low, found.high, places)
 
 
 def shifted(rows: Iterable[Row], others: Iterable[Row], name: str, places: int = 1) -> str:
@@ -274,7 +208,11 @@ def shifted(rows: Iterable[Row], others: Iterable[Row], name: str, places: int =
     `-0.20 [-0.24, -0.16]`.
     """
     q1, median, q3, _ = quartiles([a - b for a, b in zip(*_pairs(rows, others, name), strict=True)])
-    return f"{number(median, places)} [{number(q1, places)}, {number(q3, places)}]"
+    return _within(median, q1, q3, places)
+
+
+def _within(middle: float, low: float, high: float, places: int) -> str:
+    return f"{number(middle, places)} [{number(low, places)}, {number(high, places)}]"
 
 
 def _pairs(
@@ -291,15 +229,7 @@ def _pairs(
 
 def tasks(rows: Sequence[Row]) -> str:
     """Laws by tasks, as in a comparison's `tasks.md`."""
-    names = list(rows[0])
-    axes = [name for name in names[1 : names.index("seed")] if name != AMOUNT]
-    return markdown(
-        cells(
-            over_all_tasks(
-                ComparisonResults(pl.DataFrame(rows, infer_schema_length=None), tuple(axes))
-            )
-        )
-    ).rstrip("\n")
+    return markdown(cells(over_all_tasks(comparison(rows))))
 
 
 def effects(rows: Sequence[Row]) -> str:
@@ -310,49 +240,47 @@ def effects(rows: Sequence[Row]) -> str:
     is in bold where it is beyond chance after Holm's correction over all cells, or over all rows of
     the last column.
     """
-    names = list(rows[0])
-    found = Grid.of(
-        ComparisonResults(
-            pl.DataFrame(rows, infer_schema_length=None), tuple(names[1 : names.index("seed")])
-        )
-    )
+    found = Grid.of(comparison(rows))
     assert found is not None
-    changes, overall = found.changes(TIME), found.overall(TIME)
-    marked = real(changes) | real(overall)
+    by_cell, overall = found.changes(TIME), found.overall(TIME)
+    changes = by_cell | overall
+    marked = real(by_cell) | real(overall)
     most = max(len(c.success) for c in found.cells.values())
 
-    def change(at: object, d: IntervalEstimate | None) -> str:
-        if d is None or not math.isfinite(d.mean):
+    def change(at: object) -> str:
+        if at not in changes or not math.isfinite(changes[at].mean):
             return "-"
-        return f"**{d.mean:+.2f} s**" if at in marked else f"{d.mean:+.2f} s"
+        words = f"{changes[at].mean:+.2f} s"
+        return f"**{words}**" if at in marked else words
 
     def cell(i: int, j: int) -> str:
         c = found.cells[i, j]
-        good, n = int(c.success.sum()), len(c.success)
-        errors = [e for e in c.counted(ERROR) if math.isfinite(e)]
-        time_s = [t for t in c.counted(TIME) if math.isfinite(t)]
-        words = (
-            change((i, j), changes[i, j])
-            if (i, j) in changes
-            else f"{median_of(time_s):.1f} s"
-            if time_s
-            else "-"
-        )
-        tail = f", {median_of(errors):.2g} mm" if errors else ""
-        return (f"{good} of {n}: " if good < n or n < most else "") + words + tail
+        good = int(c.success.sum())
+        n = len(c.success)
+        time_s = c.quartiles(TIME)[1]
+        error_mm = c.quartiles(ERROR)[1]
+        words = f"{good} of {n}: " if good < n or n < most else ""
+        if i or not math.isfinite(time_s):
+            words += change((i, j))
+        else:
+            words += f"{time_s:.1f} s"
+        return words + (f", {error_mm:.2g} mm" if math.isfinite(error_mm) else "")
 
-    columns = range(len(found.columns))
     lines = [
-        "| |" + "".join(f" `{name}` |" for name in found.columns) + f" {ALL} |",
-        "|---" * (len(found.columns) + 2) + "|",
+        ["", *(f"`{name}`" for name in found.columns), ALL],
+        ["---"] * (len(found.columns) + 2),
     ]
     for i, name in enumerate(found.rows):
-        lines.append(
-            f"| {name} |"
-            + "".join(f" {cell(i, j)} |" for j in columns)
-            + f" {change(i, overall.get(i)) if i else ''} |"
-        )
-    return "\n".join(lines)
+        cells_of = [cell(i, j) for j in range(len(found.columns))]
+        lines.append([name, *cells_of, change(i) if i else ""])
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def comparison(rows: Sequence[Row]) -> ComparisonResults:
+    """The rows as a comparison, whose axes are the columns before the seed."""
+    names = list(rows[0])
+    axes = [name for name in names[1 : names.index("seed")] if name != AMOUNT]
+    return ComparisonResults(pl.DataFrame(rows, infer_schema_length=None), tuple(axes))
 
 
 def least_gain(rows: Iterable[Row], plain: Iterable[Row], name: str) -> float:

@@ -213,24 +213,20 @@ class Suite:
         """Mean of one law's number less the other's on the starts whose words have `start` in them,
         with interval and p-value.
         """
-        part = self.all.filter(
-            (pl.col("task") == task) & pl.col("start").str.contains(start, literal=True)
-        )
-        wide = part.pivot("law", index="start", values="value")
+        wide = self._flown(task, start).pivot("law", index="start", values="value")
         return paired_difference(wide[one].to_numpy(), wide[other].to_numpy())
 
     def success(self, task: str, law: str, start: str = "") -> tuple[int, int]:
         """Successes and runs of a law on those starts."""
-        part = self.all.filter(
-            (pl.col("task") == task)
-            & (pl.col("law") == law)
-            & pl.col("start").str.contains(start, literal=True)
-        )
+        part = self._flown(task, start).filter(law=law)
         return int(part["success"].sum()), len(part)
+
+    def _flown(self, task: str, start: str) -> pl.DataFrame:
+        return self.all.filter(pl.col("start").str.contains(start, literal=True), task=task)
 
     def mean(self, task: str, law: str) -> float:
         """Mean of a law's number in a task."""
-        own = self.all.filter((pl.col("task") == task) & (pl.col("law") == law))
+        own = self.all.filter(task=task, law=law)
         return float(own["value"].mean())  # type: ignore[arg-type]  # numbers
 
     def agreement(self, one: str, other: str, but: tuple[str, ...] = ()) -> Agreement:
@@ -244,10 +240,7 @@ class Suite:
         left_out = {
             law: float(_spearman(np.delete(a, i), np.delete(b, i))) for i, law in enumerate(laws)
         }
-        least, most = (
-            min(left_out, key=left_out.__getitem__),
-            max(left_out, key=left_out.__getitem__),
-        )
+        least, *_, most = sorted(left_out, key=left_out.__getitem__)
         found = IntervalEstimate(float(_spearman(a, b)), float(low), float(high), len(laws))
         return Agreement(found, left_out[least], least, left_out[most], most)
 

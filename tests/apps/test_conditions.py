@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 
 from docs.build.conditions import LINE, conditions, conditions_line
-from docs.build.kept import Kept
+from docs.build.kept import REPOSITORY, Kept
 from docs.build.marks import parts
-from docs.build.render import REPOSITORY, environment
+from docs.build.pages import environment
 
 FOLDERS = [REPOSITORY / "docs" / "exercises", REPOSITORY / "docs" / "results"]
 MEASURED = sorted(

@@ -18,9 +18,9 @@ import typer.main
 from typer.testing import CliRunner
 
 import vstestbed as vs
-from docs.build.kept import FOLDER, Kept, place_of
+from docs.build.kept import FOLDER, REPOSITORY, Kept, place_of
 from docs.build.marks import MARK, differences, filled, shown
-from docs.build.render import REPOSITORY, environment, pages
+from docs.build.pages import environment, pages
 from docs.build.suite import PLACE, Suite
 from tests.scenario.schemas import whole_schema
 from vstestbed.cli.app import program
