@@ -266,14 +266,12 @@ def effects(rows: Sequence[Row]) -> str:
             words += f"{time_s:.1f} s"
         return words + (f", {error_mm:.2g} mm" if math.isfinite(error_mm) else "")
 
-    lines = [
-        ["", *(f"`{name}`" for name in found.columns), ALL],
-        ["---"] * (len(found.columns) + 2),
-    ]
+    head = "".join(f" `{name}` |" for name in found.columns)
+    lines = [f"| |{head} {ALL} |", "|---" * (len(found.columns) + 2) + "|"]
     for i, name in enumerate(found.rows):
-        cells_of = [cell(i, j) for j in range(len(found.columns))]
-        lines.append([name, *cells_of, change(i) if i else ""])
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+        row = [name, *(cell(i, j) for j in range(len(found.columns))), change(i) if i else ""]
+        lines.append(f"| {' | '.join(row)} |")
+    return "\n".join(lines)
 
 
 def comparison(rows: Sequence[Row]) -> ComparisonResults:
