@@ -247,7 +247,7 @@ def effects(rows: Sequence[Row]) -> str:
     marked = real(by_cell) | real(overall)
     most = max(len(c.success) for c in found.cells.values())
 
-    def change(at: object) -> str:
+    def change(at: int | tuple[int, int]) -> str:
         if at not in changes or not math.isfinite(changes[at].mean):
             return "-"
         words = f"{changes[at].mean:+.2f} s"
