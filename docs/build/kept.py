@@ -95,14 +95,19 @@ class Kept:
                 f"`vstestbed {command}` has no result in {place.parent.name}/: python -m docs.build"
             )
         sys.stderr.write(f"vstestbed {command}\n")
-        FOLDER.mkdir(exist_ok=True)
-        write_whole(place, _text(command, _columns(measured(command))))
+        keep(command, measured(command))
         return read(place)
 
 
 def place_of(command: str) -> Path:
     """The file of a command's result, named after it."""
     return FOLDER / f"{re.sub(r'[^a-z0-9.=-]+', '_', command.lower()).strip('_')[:120]}.json"
+
+
+def keep(command: str, result: Any) -> None:
+    """Write a command's result into its file."""
+    FOLDER.mkdir(exist_ok=True)
+    write_whole(place_of(command), _text(command, _columns(result)))
 
 
 def _text(command: str, result: Any) -> str:

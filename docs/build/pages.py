@@ -49,6 +49,7 @@ def environment(kept: Kept) -> jinja2.Environment:
         "conditions": conditions,
         "grey_kb": (REPOSITORY / "scenarios" / "policies" / "grey.npz").stat().st_size / 1e3,
         "log_columns": column_texts,
+        "model": parameters.model,
         "needed": functools.cache(vs.starts_needed),
         "run": lambda words: kept(f"run {words}"),
         "sentences": lambda command: render.sentences(kept(command), command),

@@ -328,7 +328,6 @@ def live_page() -> Image:
     """The page of a live run whose gain was made too large for its delay."""
     sys.path.insert(0, str(REPOSITORY))
     from tests.apps.live.browser import Browser
-
     from vstestbed.apps.live.app import LiveApp
     from vstestbed.apps.live.run import Settings
 

@@ -101,11 +101,18 @@ class Suite:
         """What laws see in a task of the kept runs: `oracle`, exact pixels, or `pictures`."""
         if self.sha256.startswith(FORMER):
             return "oracle" if task in FORMER_ORACLE else "pictures"
-        return sees(task)
+        kinds = {one.detector.kind for one in _scenarios(task)}
+        return "oracle" if kinds == {"oracle"} else "pictures"
 
     def moves(self, task: str) -> str:
-        """How the robot of a task moves; no task has changed in that."""
-        return moves(task)
+        """How the robot of a task moves, in which no task has changed: `ideal`, as it is ordered,
+        or with its `dynamics`.
+        """
+        robots = [one.robot for one in _scenarios(task)]
+        ideal = all(
+            robot.kind == "free" or getattr(robot, "actuation", "") == "ideal" for robot in robots
+        )
+        return "ideal" if ideal else "dynamics"
 
     def starts(self, task: str) -> int:
         """How many starts each law has flown in a task."""
@@ -250,20 +257,6 @@ def _scenarios(task: str) -> list[Scenario]:
     return [
         one.scenario for one in controllers(read_comparison(path.parent / suite.tasks[task].plan))
     ]
-
-
-def sees(task: str) -> str:
-    """What laws see in a task of now."""
-    return "oracle" if {one.detector.kind for one in _scenarios(task)} == {"oracle"} else "pictures"
-
-
-def moves(task: str) -> str:
-    """How the robot of a task moves: `ideal`, as it is ordered, or with its `dynamics`."""
-    robots = [one.robot for one in _scenarios(task)]
-    ideal = all(
-        robot.kind == "free" or getattr(robot, "actuation", "") == "ideal" for robot in robots
-    )
-    return "ideal" if ideal else "dynamics"
 
 
 def _spearman(a: Array, b: Array) -> Array:
