@@ -35,8 +35,7 @@ class Stopped(Here):
 @pytest.fixture
 def rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """`campaign WORDS`: its exit code, and the rows that are kept after it."""
-    for module in (campaign, kept):
-        monkeypatch.setattr(module, "FOLDER", tmp_path / "kept")
+    monkeypatch.setattr(kept, "FOLDER", tmp_path / "kept")
     (tmp_path / "plan.yaml").write_text(PLAN)
     monkeypatch.chdir(tmp_path)
 

@@ -1,3 +1,3 @@
-"""The pages of the documentation, made from their sources and from real runs:
+"""The rendered parts of the documentation's pages, filled from results of real runs:
 `python -m docs.build`.
 """

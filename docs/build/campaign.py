@@ -24,11 +24,10 @@ from typing import Any
 
 import numpy as np
 
-from docs.build.kept import FOLDER, Row, _columns, _rows, _text, place_of, steady
+from docs.build.kept import Row, keep, place_of, read, steady
 from vstestbed.cli.ending import exit_code
 from vstestbed.cli.options import vary_of
 from vstestbed.core.errors import ParameterError, nearest
-from vstestbed.core.files import write_whole
 from vstestbed.studies.comparison import Job, Runner, begun, chosen, resumed
 from vstestbed.studies.comparison.folder import table_of
 from vstestbed.studies.comparison.plan import AMOUNT
@@ -114,8 +113,7 @@ def _go_on(asked: argparse.Namespace) -> None:
                 if known := [
                     _labelled(kept[key], job) for job in whole.jobs if (key := _key_of(job)) in kept
                 ]:
-                    FOLDER.mkdir(exist_ok=True)
-                    write_whole(place_of(command), _text(command, _columns(known)))
+                    keep(command, known)
 
 
 def _values(job: Job) -> dict[str, str]:
@@ -168,7 +166,7 @@ def _run(runner: Runner, processes: int) -> None:
 
 def _kept(command: str) -> list[Row]:
     place = place_of(command)
-    return _rows(json.loads(place.read_text(encoding="utf-8"))["result"]) if place.is_file() else []
+    return read(place) if place.is_file() else []
 
 
 def _key(row: Row) -> str:

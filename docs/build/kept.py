@@ -89,20 +89,25 @@ class Kept:
         first, known = command not in self.used, place.is_file()
         self.used.add(command)
         if known and not (first and self._again(command)):
-            return _rows(json.loads(place.read_text(encoding="utf-8"))["result"])
+            return read(place)
         if not self._may_run:
             raise KeptError(
                 f"`vstestbed {command}` has no result in {place.parent.name}/: python -m docs.build"
             )
         sys.stderr.write(f"vstestbed {command}\n")
-        FOLDER.mkdir(exist_ok=True)
-        write_whole(place, _text(command, _columns(measured(command))))
-        return _rows(json.loads(place.read_text(encoding="utf-8"))["result"])
+        keep(command, measured(command))
+        return read(place)
 
 
 def place_of(command: str) -> Path:
     """The file of a command's result, named after it."""
     return FOLDER / f"{re.sub(r'[^a-z0-9.=-]+', '_', command.lower()).strip('_')[:120]}.json"
+
+
+def keep(command: str, result: Any) -> None:
+    """Write a command's result into its file."""
+    FOLDER.mkdir(exist_ok=True)
+    write_whole(place_of(command), _text(command, _columns(result)))
 
 
 def _text(command: str, result: Any) -> str:
@@ -132,8 +137,9 @@ def _columns(result: Any) -> Any:
     }
 
 
-def _rows(result: Any) -> Any:
-    """Columns as rows."""
+def read(place: Path) -> Any:
+    """The result in a file, a table as rows."""
+    result = json.loads(place.read_text(encoding="utf-8"))["result"]
     if not (isinstance(result, dict) and "columns" in result):
         return result
     columns = result["columns"]

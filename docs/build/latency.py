@@ -5,6 +5,7 @@ the pages keep.
 from __future__ import annotations
 
 from pathlib import Path
+from statistics import median
 
 from docs.build.kept import Kept
 from docs.build.render import where
@@ -36,9 +37,8 @@ def draw(place: Path) -> None:
             of = where(rows, law=law, **{"camera.latency_s": s})
             times = sorted(row["time_to_converge_s"] for row in of if row["success"])
             x = 1e3 * s + 5 * (i - 1)
-            middle = (times[(len(times) - 1) // 2] + times[len(times) // 2]) / 2
             left.plot([x, x], [times[0], times[-1]], color=colour, lw=1.5)
-            left.plot(x, middle, "o", color=colour, label=label if s == 0 else None)
+            left.plot(x, median(times), "o", color=colour, label=label if s == 0 else None)
             if len(times) < len(of):
                 left.annotate(
                     f"{len(times)}/{len(of)}",

@@ -207,26 +207,6 @@ def strain_waves() -> list[tuple[int | str, ...]]:
     return [(size, *(plain(x) for x in curve)) for size, curve in CURVES.items()]
 
 
-def geom(name: str, of: str) -> Any:
-    """A geom of a model, with its `size`, `friction` and so on."""
-    return model(of).geom(name)
-
-
-def joint(name: str, of: str) -> Any:
-    """A joint of a model, with its `armature`, `damping`, `frictionloss`, `stiffness`."""
-    return model(of).joint(name)
-
-
-def actuator(name: str, of: str) -> Any:
-    """An actuator of a model, with its `gainprm`, `biasprm`, `forcerange`."""
-    return model(of).actuator(name)
-
-
-def mass(name: str, of: str) -> float:
-    """Mass of a body and of all that hangs on it [kg]."""
-    return float(model(of).body_subtreemass[model(of).body(name).id])
-
-
 def preset(kind: str, level: Level, field: str) -> str:
     """What a level of `realism` fills a robot's field with, as a scenario has it;
     "-" for nothing.

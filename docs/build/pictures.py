@@ -17,6 +17,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Callable
 from fractions import Fraction
 from itertools import islice
 from pathlib import Path
@@ -24,17 +25,16 @@ from pathlib import Path
 import av
 import cv2
 import numpy as np
-import polars as pl
 
 import vstestbed as vs
 from docs.build import exercises, latency
-from docs.build.kept import Kept
+from docs.build.kept import REPOSITORY, Kept
+from docs.build.render import comparison
 from vstestbed.core.files import make_folder, write_whole
 from vstestbed.report.canvas import DPI, save, style
 from vstestbed.report.comparison import grid as effects
 from vstestbed.report.comparison.figures import Data
 from vstestbed.report.comparison.page import COLUMN_IN
-from vstestbed.report.comparison.results import ComparisonResults
 from vstestbed.report.run.space import SUFFIXES, coordinates, turns_joined
 from vstestbed.report.run.tracks import LogArrays, Setting
 from vstestbed.report.video.film import FINE, Pictures, replay_of, rows_of
@@ -42,7 +42,6 @@ from vstestbed.report.video.overlay import INK, PAPER, FilmFrame, draw_text
 from vstestbed.report.video.side_by_side import FrameReader, scaled
 from vstestbed.report.video.writer import Image
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 WIDTH, WIDE, FIGURE = 1280, 1080, 1300
 EVERY = 8
 """Frames between two pictures that are drawn, so that the view follows and trails grow."""
@@ -256,9 +255,8 @@ def study(name: str, folder: Path) -> Image:
 def grid_of(name: str, folder: Path) -> Image:
     """The grid of a comparison of effects and laws, of its kept results."""
     rows = Kept(may_run=False)(f"compare {name}")
-    comparison = ComparisonResults(pl.DataFrame(rows, infer_schema_length=None), ("effect", "law"))
     with style():
-        drawn = effects.grid(Data(comparison), COLUMN_IN[2])
+        drawn = effects.grid(Data(comparison(rows)), COLUMN_IN[2])
         assert drawn is not None, name
         save(drawn, folder / f"{name}.png", DPI)
     return figure(folder / f"{name}.png")
@@ -329,8 +327,7 @@ def figure(path: Path) -> Image:
 def live_page() -> Image:
     """The page of a live run whose gain was made too large for its delay."""
     sys.path.insert(0, str(REPOSITORY))
-    from tests.live.browser import Browser
-
+    from tests.apps.live.browser import Browser
     from vstestbed.apps.live.app import LiveApp
     from vstestbed.apps.live.run import Settings
 
@@ -366,52 +363,30 @@ def live_page() -> Image:
 
 def main() -> None:
     """Make them."""
+    makers: dict[str, Callable[[str, Path], Image]] = {
+        **dict.fromkeys(FILMS, lambda name, _: strip(name)),
+        LIVE: lambda *_: live_page(),
+        DEPTH: lambda *_: depth_sensors(),
+        CAMERA: lambda *_: camera_effects(),
+        **dict.fromkeys(GRIDS, grid_of),
+        LATENCY: latency_laws,
+        POLAR: polar_planes,
+        **dict.fromkeys(exercises.EXERCISES, of_exercise),
+    }
+    usual = [*MOVING, *makers]
+    makers |= dict.fromkeys(exercises.REPORTS, of_exercise) | dict.fromkeys(STUDIES, study)
     parser = argparse.ArgumentParser(description=__doc__)
-    known = [
-        *FILMS,
-        *MOVING,
-        LIVE,
-        DEPTH,
-        CAMERA,
-        *GRIDS,
-        LATENCY,
-        POLAR,
-        *exercises.EXERCISES,
-        *exercises.REPORTS,
-        *STUDIES,
-    ]
-    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(known))
+    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join([*MOVING, *makers]))
     parser.add_argument("--studies", action="store_true")
     parser.add_argument("--out", type=Path, default=REPOSITORY / "docs" / "media")
     given = parser.parse_args()
     make_folder(given.out)
-    names = given.names or [
-        *FILMS,
-        *MOVING,
-        LIVE,
-        DEPTH,
-        CAMERA,
-        *GRIDS,
-        LATENCY,
-        POLAR,
-        *exercises.EXERCISES,
-        *(STUDIES if given.studies else ()),
-    ]
     with tempfile.TemporaryDirectory() as folder:
-        for name in names:
+        for name in given.names or [*usual, *(STUDIES if given.studies else ())]:
             if name in MOVING:
                 write_whole(given.out / f"{name}.webp", moving(name, Path(folder)))
                 continue
-            own = {LIVE: live_page, DEPTH: depth_sensors, CAMERA: camera_effects}.get(name)
-            of_runs = (
-                grid_of
-                if name in GRIDS
-                else {LATENCY: latency_laws, POLAR: polar_planes}.get(name, study)
-            )
-            of_runs = (
-                of_exercise if name in exercises.EXERCISES or name in exercises.REPORTS else of_runs
-            )
-            made = own() if own else strip(name) if name in FILMS else of_runs(name, Path(folder))
+            made = makers[name](name, Path(folder))
             path = given.out / f"{name}.png"
             write_whole(
                 path,

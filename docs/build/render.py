@@ -1,57 +1,23 @@
-"""The rendered parts of the pages, filled in place with the results of commands.
-
-A page is edited as it is. What it shows of a result stands between two comments, and those before
-it say by Jinja what it is:
-
-<!-- values
-arm = run("arm_ibvs")
-time = arm.time_to_converge_s | n(1)
--->
-The arm converges after <!--time-->17.3<!--/--> s.
-
-<!-- build
-| law | converged |
-|---|---|
-{% for law in laws | each("law") %}
-| `{{ law }}` | {{ laws | where(law=law) | reached }} |
-{% endfor %}
--->
-...
-<!-- end -->
-
-<!-- build: under("run arm_ibvs") -->
-...
-<!-- end -->
-"""
+"""What pages ask of results, and how it is written: each function here is known to their marks."""
 
 from __future__ import annotations
 
-import difflib
 import functools
-import itertools
 import math
-import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from pathlib import Path
-from statistics import median as median_of
 from typing import Any
 
-import jinja2
 import polars as pl
 import yaml
 from typer.testing import CliRunner
 
 import vstestbed as vs
-from docs.build import parameters
-from docs.build.conditions import comparison_of, conditions, conditions_line
-from docs.build.kept import Kept, Row
-from docs.build.suite import Suite
-from docs.build.verdicts import Verdicts
+from docs.build.conditions import comparison_of
+from docs.build.kept import Row
 from vstestbed.apps.bench.bench import BesideFloor
 from vstestbed.cli.app import program
 from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios
-from vstestbed.loop.columns import column_texts
 from vstestbed.report.comparison.grid import ALL, ERROR, Grid, real
 from vstestbed.report.comparison.pairs import pairs
 from vstestbed.report.comparison.results import LIMIT, TIME, ComparisonResults
@@ -64,143 +30,6 @@ from vstestbed.report.comparison.statistics import (
 )
 from vstestbed.report.comparison.tasks import AMOUNT, cells, markdown, over_all_tasks
 from vstestbed.studies.comparison.folder import results_of
-from vstestbed.tasks.metrics import KNOWN, RUN_COLUMNS, own_metrics
-
-REPOSITORY = Path(__file__).resolve().parents[2]
-FOLDERS = ("docs", "scenarios", "models", "tests", "vstestbed")
-"""Those with pages."""
-MARK = re.compile(
-    r"(^<!-- (?:values|build)\b.*?-->\n|^<!-- end -->\n|<!--[a-z][\w.]*-->|<!--/-->)",
-    re.MULTILINE | re.DOTALL,
-)
-BLOCK_END, VALUE_END = "<!-- end -->\n", "<!--/-->"
-VALUE = re.compile(r"^(\w+) = (.+(?:\n +.+)*)", re.MULTILINE)
-"""A line of the block of values; lines that are indented go on with it."""
-
-
-def pages() -> list[Path]:
-    """The pages, relative to the repository."""
-    found = [*REPOSITORY.glob("*.md")]
-    for folder in FOLDERS:
-        found += (REPOSITORY / folder).rglob("*.md")
-    return sorted(page.relative_to(REPOSITORY) for page in found)
-
-
-def shown(text: str) -> str:
-    """What a reader sees of a page: its text without the marks."""
-    return "".join(MARK.split(text)[::2])
-
-
-def filled(text: str, kept: Kept) -> str:
-    """The text of a page, with its rendered parts as they are now."""
-    return "".join(mark + words for mark, words in parts(text, kept))
-
-
-def differences(page: Path, before: str, now: str) -> list[str]:
-    """What differs between two texts of a page, line by line; [] where nothing does."""
-    lines = before.splitlines(), now.splitlines()
-    return [*difflib.unified_diff(*lines, str(page), str(page), lineterm="", n=0)]
-
-
-def parts(text: str, kept: Kept) -> Iterator[tuple[str, str]]:
-    """The marks of a page in their order, each with the words that follow it now; before them what
-    follows no mark.
-
-    Raises:
-        ValueError: a mark is not closed, or closes nothing, or has another form.
-    """
-    first, *rest = MARK.split(text)
-    marks, texts = rest[::2], rest[1::2]
-    for mark, following in itertools.pairwise(["", *marks, ""]):
-        if closing_of(mark) != (following if following in (BLOCK_END, VALUE_END) else ""):
-            raise ValueError(f"a mark is missing between {mark!r} and {following!r}")
-    environment = environment_of(kept)
-    names: dict[str, Any] = {}
-    yield "", first
-    for mark, words in zip(marks, texts, strict=True):
-        if mark in (BLOCK_END, VALUE_END):
-            yield mark, words
-            continue
-        try:
-            module = environment.from_string(jinja_of(mark)).make_module(names)
-        except Exception as error:  # of all that a page may call; raised again with its place
-            error.add_note(mark)
-            raise
-        names |= {name: value for name, value in vars(module).items() if name[0] != "_"}
-        yield mark, written(str(module), mark, words)
-
-
-def closing_of(mark: str) -> str:
-    """The mark that must come next; "" where it may be any that opens."""
-    if mark.startswith("<!-- build"):
-        return BLOCK_END
-    return VALUE_END if re.match(r"<!--\w", mark) else ""
-
-
-def jinja_of(mark: str) -> str:
-    """The template that a mark stands for."""
-    words = mark.strip().removeprefix("<!--").removesuffix("-->")
-    if words.startswith(" values\n"):
-        return VALUE.sub(r"{% set \1 = \2 %}", words.removeprefix(" values\n"))
-    if words.startswith(" build\n"):
-        return words.removeprefix(" build\n")
-    return "{{" + words.removeprefix(" build:") + "}}"
-
-
-def written(result: str, mark: str, words: str) -> str:
-    """A result as it stands behind its mark, where `words` stand now.
-
-    Raises:
-        ValueError: a block of values has a line that is none.
-    """
-    closing = closing_of(mark)
-    if closing == BLOCK_END:
-        rows = result.strip("\n")
-        return rows and f"{rows}\n"
-    if closing == VALUE_END:  # which may begin a line, as a comment may not
-        return words[: len(words) - len(words.lstrip())] + result
-    if result.strip():
-        raise ValueError(f"no line `name = expression`: {result.strip()}")
-    return words
-
-
-def environment_of(kept: Kept) -> jinja2.Environment:
-    """What the marks of a page may call."""
-    made = jinja2.Environment(
-        undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    made.filters |= {
-        filter.__name__: filter
-        for filter in (
-            *(differs, each, effects, failed, failed_seeds, in_reach, interval, judged, least),
-            *(least_gain, median, ratios, reached, same_starts, shifted, tasks, typical, where),
-            worst,
-        )
-    }
-    made.filters |= {"code": "`{}`".format, "g": parameters.plain, "n": number, "range": span}
-    made.globals |= {
-        function.__name__: function
-        for function in (
-            *(comparisons, conditions, gain_of, plan, scenarios),
-            *(parameters.actuator, parameters.arm_preset, parameters.fields, parameters.geom),
-            *(parameters.joint, parameters.mass, parameters.preset, parameters.puma_joints),
-            *(parameters.puma_links, parameters.strain_waves),
-        )
-    }
-    made.globals |= {
-        "command": kept,
-        "grey_kb": (REPOSITORY / "scenarios" / "policies" / "grey.npz").stat().st_size / 1e3,
-        "log_columns": column_texts,
-        "needed": functools.cache(vs.starts_needed),
-        "run": lambda words: kept(f"run {words}"),
-        "sentences": lambda command: sentences(kept(command), command),
-        "suite": functools.cache(Suite),
-        "summary_numbers": lambda: (*KNOWN.values(), *own_metrics().values()),
-        "table_columns": RUN_COLUMNS.items,
-        "under": conditions_line,
-        "verdicts": functools.cache(Verdicts),
-    }
-    return made
 
 
 def scenarios(robots: Iterable[str]) -> list[tuple[str, str]]:
@@ -330,20 +159,17 @@ def same_starts(rows: Iterable[Row], others: Iterable[Row]) -> list[Row]:
     return [row for row in rows if row["seed"] in seeds]
 
 
-def in_reach(rows: Iterable[Row]) -> list[Row]:
-    """The rows whose start the robot reaches."""
-    return [row for row in rows if row["outcome"] != "unreachable"]
-
-
 def typical(
     rows: Iterable[Row], name: str, places: int = 1, factor: float = 1, every: bool = False
 ) -> str:
-    """Median and quartiles over the runs that reached the goal, or over all:
-    `12.7 [11.9, 13.1]`.
+    """Median and quartiles over the runs that reached the goal, or over all: `12.7 [11.9, 13.1]`;
+    one number where they are alike.
     """
     q1, median, q3, _ = quartiles(_values(rows, name, factor, every))
-    texts = [number(value, places) for value in (median, q1, q3)]
-    return texts[0] if len(set(texts)) == 1 else f"{texts[0]} [{texts[1]}, {texts[2]}]"
+    text = number(median, places)
+    if text == number(q1, places) == number(q3, places):
+        return text
+    return _within(median, q1, q3, places)
 
 
 def median(rows: Iterable[Row], name: str, factor: float = 1, every: bool = False) -> float:
@@ -354,11 +180,6 @@ def median(rows: Iterable[Row], name: str, factor: float = 1, every: bool = Fals
 def worst(rows: Iterable[Row], name: str, factor: float = 1) -> float:
     """The largest value of the runs that reached the goal."""
     return max(_values(rows, name, factor))
-
-
-def least(rows: Iterable[Row], name: str, factor: float = 1) -> float:
-    """The smallest value of the runs that reached the goal."""
-    return min(_values(rows, name, factor))
 
 
 def span(
@@ -379,9 +200,7 @@ def differs(
     `-0.9 [-1.5, -0.4]`.
     """
     found = paired_difference(*_pairs(rows, others, name, every))
-    return (
-        f"{number(found.mean, places)} [{number(found.low, places)}, {number(found.high, places)}]"
-    )
+    return _within(found.mean, found.low, found.high, places)
 
 
 def shifted(rows: Iterable[Row], others: Iterable[Row], name: str, places: int = 1) -> str:
@@ -389,7 +208,11 @@ def shifted(rows: Iterable[Row], others: Iterable[Row], name: str, places: int =
     `-0.20 [-0.24, -0.16]`.
     """
     q1, median, q3, _ = quartiles([a - b for a, b in zip(*_pairs(rows, others, name), strict=True)])
-    return f"{number(median, places)} [{number(q1, places)}, {number(q3, places)}]"
+    return _within(median, q1, q3, places)
+
+
+def _within(middle: float, low: float, high: float, places: int) -> str:
+    return f"{number(middle, places)} [{number(low, places)}, {number(high, places)}]"
 
 
 def _pairs(
@@ -406,15 +229,7 @@ def _pairs(
 
 def tasks(rows: Sequence[Row]) -> str:
     """Laws by tasks, as in a comparison's `tasks.md`."""
-    names = list(rows[0])
-    axes = [name for name in names[1 : names.index("seed")] if name != AMOUNT]
-    return markdown(
-        cells(
-            over_all_tasks(
-                ComparisonResults(pl.DataFrame(rows, infer_schema_length=None), tuple(axes))
-            )
-        )
-    ).rstrip("\n")
+    return markdown(cells(over_all_tasks(comparison(rows))))
 
 
 def effects(rows: Sequence[Row]) -> str:
@@ -425,49 +240,45 @@ def effects(rows: Sequence[Row]) -> str:
     is in bold where it is beyond chance after Holm's correction over all cells, or over all rows of
     the last column.
     """
-    names = list(rows[0])
-    found = Grid.of(
-        ComparisonResults(
-            pl.DataFrame(rows, infer_schema_length=None), tuple(names[1 : names.index("seed")])
-        )
-    )
+    found = Grid.of(comparison(rows))
     assert found is not None
-    changes, overall = found.changes(TIME), found.overall(TIME)
-    marked = real(changes) | real(overall)
+    by_cell, overall = found.changes(TIME), found.overall(TIME)
+    changes = by_cell | overall
+    marked = real(by_cell) | real(overall)
     most = max(len(c.success) for c in found.cells.values())
 
-    def change(at: object, d: IntervalEstimate | None) -> str:
-        if d is None or not math.isfinite(d.mean):
+    def change(at: int | tuple[int, int]) -> str:
+        if at not in changes or not math.isfinite(changes[at].mean):
             return "-"
-        return f"**{d.mean:+.2f} s**" if at in marked else f"{d.mean:+.2f} s"
+        words = f"{changes[at].mean:+.2f} s"
+        return f"**{words}**" if at in marked else words
 
     def cell(i: int, j: int) -> str:
         c = found.cells[i, j]
-        good, n = int(c.success.sum()), len(c.success)
-        errors = [e for e in c.counted(ERROR) if math.isfinite(e)]
-        time_s = [t for t in c.counted(TIME) if math.isfinite(t)]
-        words = (
-            change((i, j), changes[i, j])
-            if (i, j) in changes
-            else f"{median_of(time_s):.1f} s"
-            if time_s
-            else "-"
-        )
-        tail = f", {median_of(errors):.2g} mm" if errors else ""
-        return (f"{good} of {n}: " if good < n or n < most else "") + words + tail
+        good = int(c.success.sum())
+        n = len(c.success)
+        time_s = c.quartiles(TIME)[1]
+        error_mm = c.quartiles(ERROR)[1]
+        words = f"{good} of {n}: " if good < n or n < most else ""
+        if i or not math.isfinite(time_s):
+            words += change((i, j))
+        else:
+            words += f"{time_s:.1f} s"
+        return words + (f", {error_mm:.2g} mm" if math.isfinite(error_mm) else "")
 
-    columns = range(len(found.columns))
-    lines = [
-        "| |" + "".join(f" `{name}` |" for name in found.columns) + f" {ALL} |",
-        "|---" * (len(found.columns) + 2) + "|",
-    ]
+    head = "".join(f" `{name}` |" for name in found.columns)
+    lines = [f"| |{head} {ALL} |", "|---" * (len(found.columns) + 2) + "|"]
     for i, name in enumerate(found.rows):
-        lines.append(
-            f"| {name} |"
-            + "".join(f" {cell(i, j)} |" for j in columns)
-            + f" {change(i, overall.get(i)) if i else ''} |"
-        )
+        row = [name, *(cell(i, j) for j in range(len(found.columns))), change(i) if i else ""]
+        lines.append(f"| {' | '.join(row)} |")
     return "\n".join(lines)
+
+
+def comparison(rows: Sequence[Row]) -> ComparisonResults:
+    """The rows as a comparison, whose axes are the columns before the seed."""
+    names = list(rows[0])
+    axes = [name for name in names[1 : names.index("seed")] if name != AMOUNT]
+    return ComparisonResults(pl.DataFrame(rows, infer_schema_length=None), tuple(axes))
 
 
 def least_gain(rows: Iterable[Row], plain: Iterable[Row], name: str) -> float:

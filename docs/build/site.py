@@ -18,7 +18,8 @@ from typing import Any
 
 from mkdocs.structure.files import File
 
-from docs.build.kept import place_of
+from docs.build.kept import REPOSITORY, place_of, read
+from docs.build.marks import shown
 from docs.build.render import judged
 from vstestbed.cli.describe import _default
 from vstestbed.core.fields import DIMENSIONLESS, class_text, fields, without_unit
@@ -28,7 +29,6 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.yaml_marks import bundled_mapping
 from vstestbed.studies.comparison import Comparison
 
-ROOT = Path(__file__).resolve().parents[2]
 PAGES = {
     "README.md": "index.md",
     "docs/README.md": "documentation.md",  # mkdocs would make a second index of it
@@ -44,7 +44,7 @@ PAGES = {
     },
 }
 """Pages outside `docs/`, and scenarios, by their places in the repository and on the site."""
-NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
+NOTEBOOKS = sorted((REPOSITORY / "docs" / "notebooks").glob("*.ipynb"))
 FILES = "files"  # folder of the site with the other files of the repository to which pages link
 LINK = re.compile(r"(?<=\]\()([^)\s]+)(?=\))")
 FILMS = {"overview.mp4": "From outside", "camera.mp4": "What the camera sees"}
@@ -55,7 +55,7 @@ def on_config(config: Any) -> Any:
     `scenarios` and `kinds`.
     """
     open_ends = {
-        "scenarios": [PAGES[f"scenarios/{path.name}"] for path in bundled_scenarios().values()],
+        "scenarios": [f"scenarios/{name}.md" for name in bundled_scenarios()],
         "kinds": list(kind_pages()),
     }
 
@@ -79,12 +79,12 @@ def on_files(files: Any, config: Any) -> Any:
         path for path in PAGES if path.endswith(".md")
     }
     made = {
-        uri: (ROOT / path).read_text(encoding="utf-8")
+        uri: (REPOSITORY / path).read_text(encoding="utf-8")
         for path, uri in PAGES.items()
         if path in pages
     }
     made |= {
-        PAGES[f"scenarios/{path.name}"]: scenario_page(name, path)
+        f"scenarios/{name}.md": scenario_page(name, path)
         for name, path in bundled_scenarios().items()
     }
     made |= {
@@ -97,9 +97,9 @@ def on_files(files: Any, config: Any) -> Any:
     linked = {
         target
         for path in sorted(pages)
-        for target in _targets(path, (ROOT / path).read_text(encoding="utf-8"))
+        for target in _targets(path, (REPOSITORY / path).read_text(encoding="utf-8"))
     }
-    copies = {f"{FILES}/{path}": ROOT / path for path in linked if _is_other(path, pages)}
+    copies = {f"{FILES}/{path}": REPOSITORY / path for path in linked if _is_other(path, pages)}
     copies |= {
         f"scenarios/{name}/{file.name}": file for name in bundled_scenarios() for file in _ran(name)
     }
@@ -109,7 +109,9 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
-    """Links between the repository's files become links between the site's."""
+    """The page without its marks; links between the repository's files become links between the
+    site's.
+    """
     here = posixpath.dirname(page.file.src_uri)
     inside = {uri: path for path, uri in PAGES.items()}.get(
         page.file.src_uri, f"docs/{page.file.src_uri}"
@@ -134,7 +136,7 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     return (
         markdown
         if page.file.src_uri.startswith(("reference/", "scenarios/")) and inside not in PAGES
-        else LINK.sub(changed, markdown)
+        else LINK.sub(changed, shown(markdown))
     )
 
 
@@ -144,7 +146,7 @@ def _is_other(path: str, pages: Iterable[str]) -> bool:
         path not in pages
         and path not in PAGES
         and not path.startswith("docs/media/")
-        and (ROOT / path).is_file()
+        and (REPOSITORY / path).is_file()
     )
 
 
@@ -177,7 +179,7 @@ def scenario_page(name: str, path: Path) -> str:
         "",
     ]
     if (kept := place_of(f"run {name}")).is_file():
-        it = json.loads(kept.read_text(encoding="utf-8"))["result"]
+        it = read(kept)
         lines += [
             "| ends as | after [s] | judged error (its limit) |",
             "|---|---|---|",
@@ -207,7 +209,7 @@ def _ran(name: str) -> list[Path]:
     """Films and report of the last run of a scenario in this checkout; nothing where it was not
     run.
     """
-    runs = sorted((ROOT / "runs" / name).glob("[0-9]*/report.html"))
+    runs = sorted((REPOSITORY / "runs" / name).glob("[0-9]*/report.html"))
     return (
         [runs[-1], *(file for film in FILMS if (file := runs[-1].with_name(film)).is_file())]
         if runs
@@ -220,7 +222,7 @@ def notebook_page(path: Path, repository: str) -> str:
     """Its words and code, and its figures and tables where it has been executed
     (`docs.build.notebooks`).
     """
-    done = ROOT / "runs" / "notebooks" / path.name
+    done = REPOSITORY / "runs" / "notebooks" / path.name
     cells = json.loads((done if done.is_file() else path).read_text(encoding="utf-8"))["cells"]
     links = [f"[Download the notebook]({path.name})"]
     if repository:

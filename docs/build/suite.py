@@ -101,11 +101,18 @@ class Suite:
         """What laws see in a task of the kept runs: `oracle`, exact pixels, or `pictures`."""
         if self.sha256.startswith(FORMER):
             return "oracle" if task in FORMER_ORACLE else "pictures"
-        return sees(task)
+        kinds = {one.detector.kind for one in _scenarios(task)}
+        return "oracle" if kinds == {"oracle"} else "pictures"
 
     def moves(self, task: str) -> str:
-        """How the robot of a task moves; no task has changed in that."""
-        return moves(task)
+        """How the robot of a task moves, in which no task has changed: `ideal`, as it is ordered,
+        or with its `dynamics`.
+        """
+        robots = [one.robot for one in _scenarios(task)]
+        ideal = all(
+            robot.kind == "free" or getattr(robot, "actuation", "") == "ideal" for robot in robots
+        )
+        return "ideal" if ideal else "dynamics"
 
     def starts(self, task: str) -> int:
         """How many starts each law has flown in a task."""
@@ -209,33 +216,24 @@ class Suite:
             (s for s in self.scores if s.task == task and s.law != but), key=lambda s: s.value.mean
         )
 
-    def place(self, law: str, task: str) -> int:
-        """The place of a law in a task by its mean, from 1."""
-        of_task = sorted((s for s in self.scores if s.task == task), key=lambda s: s.value.mean)
-        return [s.law for s in of_task].index(law) + 1
-
     def difference(self, task: str, one: str, other: str, start: str = "") -> IntervalEstimate:
         """Mean of one law's number less the other's on the starts whose words have `start` in them,
         with interval and p-value.
         """
-        part = self.all.filter(
-            (pl.col("task") == task) & pl.col("start").str.contains(start, literal=True)
-        )
-        wide = part.pivot("law", index="start", values="value")
+        wide = self._flown(task, start).pivot("law", index="start", values="value")
         return paired_difference(wide[one].to_numpy(), wide[other].to_numpy())
 
     def success(self, task: str, law: str, start: str = "") -> tuple[int, int]:
         """Successes and runs of a law on those starts."""
-        part = self.all.filter(
-            (pl.col("task") == task)
-            & (pl.col("law") == law)
-            & pl.col("start").str.contains(start, literal=True)
-        )
+        part = self._flown(task, start).filter(law=law)
         return int(part["success"].sum()), len(part)
+
+    def _flown(self, task: str, start: str) -> pl.DataFrame:
+        return self.all.filter(pl.col("start").str.contains(start, literal=True), task=task)
 
     def mean(self, task: str, law: str) -> float:
         """Mean of a law's number in a task."""
-        own = self.all.filter((pl.col("task") == task) & (pl.col("law") == law))
+        own = self.all.filter(task=task, law=law)
         return float(own["value"].mean())  # type: ignore[arg-type]  # numbers
 
     def agreement(self, one: str, other: str, but: tuple[str, ...] = ()) -> Agreement:
@@ -249,10 +247,7 @@ class Suite:
         left_out = {
             law: float(_spearman(np.delete(a, i), np.delete(b, i))) for i, law in enumerate(laws)
         }
-        least, most = (
-            min(left_out, key=left_out.__getitem__),
-            max(left_out, key=left_out.__getitem__),
-        )
+        least, *_, most = sorted(left_out, key=left_out.__getitem__)
         found = IntervalEstimate(float(_spearman(a, b)), float(low), float(high), len(laws))
         return Agreement(found, left_out[least], least, left_out[most], most)
 
@@ -262,20 +257,6 @@ def _scenarios(task: str) -> list[Scenario]:
     return [
         one.scenario for one in controllers(read_comparison(path.parent / suite.tasks[task].plan))
     ]
-
-
-def sees(task: str) -> str:
-    """What laws see in a task of now."""
-    return "oracle" if {one.detector.kind for one in _scenarios(task)} == {"oracle"} else "pictures"
-
-
-def moves(task: str) -> str:
-    """How the robot of a task moves: `ideal`, as it is ordered, or with its `dynamics`."""
-    robots = [one.robot for one in _scenarios(task)]
-    ideal = all(
-        robot.kind == "free" or getattr(robot, "actuation", "") == "ideal" for robot in robots
-    )
-    return "ideal" if ideal else "dynamics"
 
 
 def _spearman(a: Array, b: Array) -> Array:

@@ -91,21 +91,13 @@ class Verdicts:
 
     def power(self, letter: str, n: int, column: str = "b") -> float:
         """Share in which the better one is called better; `sooner_b`: sooner."""
-        names = (
-            self._shares.filter(what="power", kind="power")["name"]
-            .unique(maintain_order=True)
-            .to_list()
-        )
-        found = self._shares.filter(what="power", name=names[POWER.index(letter)], n=n)
+        found = self._shares.filter(what="power", name=self.power_name(letter), n=n)
         return found[column].item()
 
     def power_name(self, letter: str) -> str:
         """What flies in a cell of the power."""
-        return (
-            self._shares.filter(what="power", kind="power")["name"]
-            .unique(maintain_order=True)
-            .to_list()[POWER.index(letter)]
-        )
+        cells = self._shares.filter(what="power", kind="power")
+        return cells["name"].unique(maintain_order=True).to_list()[POWER.index(letter)]
 
     def trade(self, n: int, column: str) -> float:
         """Of the true trade: share of `a`, `b`, `trade`."""

@@ -13,8 +13,9 @@ from typing import Any
 import pytest
 
 from docs.build.conditions import LINE, conditions, conditions_line
-from docs.build.kept import Kept
-from docs.build.render import REPOSITORY, parts
+from docs.build.kept import REPOSITORY, Kept
+from docs.build.marks import parts
+from docs.build.pages import environment
 
 FOLDERS = [REPOSITORY / "docs" / "exercises", REPOSITORY / "docs" / "results"]
 MEASURED = sorted(
@@ -152,7 +153,8 @@ class Shown:
     def of(cls, page: Path) -> Shown:
         """A page as it is filled."""
         kept, text, read = Noted(), "", list[tuple[int, str]]()
-        for _, words in parts((REPOSITORY / page).read_text(encoding="utf-8"), kept):
+        source = (REPOSITORY / page).read_text(encoding="utf-8")
+        for _, words in parts(source, environment(kept)):
             read += [(len(text), command) for command in dict.fromkeys(kept.read)]
             kept.read.clear()
             text += words
