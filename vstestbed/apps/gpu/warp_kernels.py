@@ -330,6 +330,18 @@ def _mean_along(
 
 
 @wp.func
+def _face(look: SceneLook, g: int, normal: wp.vec3) -> int:
+    """The axis across which a face of a geom is, by the normal in its frame; of a plane z."""
+    if look.box[g] == 0:
+        return 2
+    if wp.abs(normal[2]) > wp.max(wp.abs(normal[0]), wp.abs(normal[1])):
+        return 2
+    if wp.abs(normal[1]) > wp.abs(normal[0]):
+        return 1
+    return 0
+
+
+@wp.func
 def _print(look: SceneLook, hit: Hit, x: wp.vec3, R: wp.mat33) -> wp.vec3:
     """The texture of a plane or a box with the pose x, R; see `shade.Paint._print`."""
     g = hit.geom
@@ -340,13 +352,7 @@ def _print(look: SceneLook, hit: Hit, x: wp.vec3, R: wp.mat33) -> wp.vec3:
     local = turned @ (hit.point - x)
     n = turned @ normal
     half = look.half[g]
-    face = int(2)
-    if look.box[g] == 1:
-        face = int(0)
-        if wp.abs(n[1]) > wp.abs(n[0]):
-            face = 1
-        if wp.abs(n[2]) > wp.max(wp.abs(n[0]), wp.abs(n[1])):
-            face = 2
+    face = _face(look, g, n)
     size = wp.vec3(1.0, 1.0, 1.0)
     for k in range(3):
         if half[k] > 0.0:
