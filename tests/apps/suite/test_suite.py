@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -447,8 +448,9 @@ def test_the_kept_runs_of_vs_1_are_of_its_tasks_and_laws_or_the_page_says_that_t
         page = (Path(__file__).parents[3] / "docs" / "research" / "suite.md").read_text(
             encoding="utf-8"
         )
+        read = re.sub(r"<!--.*?-->\n?", "", page, flags=re.DOTALL)
         first = path.with_suffix(".csv").read_text(encoding="utf-8")[2:14]
-        assert f"former flight, of the files `{first}`" in "\n".join(page.splitlines()[:12])
+        assert f"former flight, of the files `{first}`" in "\n".join(read.splitlines()[:12])
         return
     entry = opened(None)
     wanted = {(task, law) for task, plan in entry.plans.items() for law in plan.cases["law"]}
