@@ -244,7 +244,7 @@ class Vehicle(Realistic):
         """Mean camera twist (6,) between two readings, from the encoders alone; zero where no time
         has passed.
         """
-        return mount.to_camera @ (PLANE @ self.odometry(before, now, duration))
+        return mount.to_camera @ PLANE @ self.odometry(before, now, duration)
 
     def lagged(self, now: Value, order: Value, dt: float) -> Value:
         """What the drive follows after dt [s] of an order, from what it follows now, (n,) each:
