@@ -101,12 +101,10 @@ class Polygon(Feature):
         if len(xy) > 2 and not spans_area(size(xy), segments(xy)):
             words = (
                 "spans no area in the goal view, by which the law measures size;"
-                " the markers must not lie on one line, and must be in"
+                " the markers must not lie on one line, and must be in order around the polygon:"
+                " the areas of a bow tie's two loops cancel"
             )
-            raise ParameterError(
-                "target",
-                f"{words} order around the polygon: the areas of a bow tie's two loops cancel",
-            )
+            raise ParameterError("target", words)
 
 
 def size(xy: Array) -> Array:

@@ -488,12 +488,10 @@ class Photometric(Law[PhotometricState]):
         if inner < LEAST_SIDE:
             given = f"margin_px {self.margin_px}, levels {self.levels} and stride {self.stride}"
             words = (
-                f"leaves {max(inner, 0):.3g} px of the picture's {least} at the"
-                f" coarsest level with {given}"
+                f"leaves {max(inner, 0):.3g} px of the picture's {least} at the coarsest level with"
+                f" {given}, and {LEAST_SIDE} are needed; make one of them smaller"
             )
-            raise ParameterError(
-                "law", f"{words}, and {LEAST_SIDE} are needed; make one of them smaller"
-            )
+            raise ParameterError("law", words)
 
     def init(self, goal: Goal) -> PhotometricState:
         return PhotometricState()

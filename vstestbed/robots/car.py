@@ -574,6 +574,14 @@ class Car(Vehicle, Onboard):
         left, right = (now.q[_REAR] - before.q[_REAR]) * (self.believed_radius / duration)
         return np.array([(left + right) / 2, 0.0, (right - left) / self.parameters.track_m])
 
+    def measured_twist(
+        self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount
+    ) -> Array:
+        """Mean camera twist (6,) between two readings, from the encoders alone; zero where no time
+        has passed.
+        """
+        return mount.to_camera @ (PLANE @ self.odometry(before, now, duration))
+
     def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
         """Speed [m/s] and steering angle [rad] for a camera twist (6,), as `within_limits` has it.
 

@@ -342,6 +342,14 @@ class Omni(Vehicle, Onboard):
             return belief * motion_between(before.q, now.q, duration)
         return belief * (self.parameters.W_inverse @ (now.q - before.q)) / duration
 
+    def measured_twist(
+        self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount
+    ) -> Array:
+        """Mean camera twist (6,) between two readings, from the encoders alone; zero where no time
+        has passed.
+        """
+        return mount.to_camera @ PLANE @ self.odometry(before, now, duration)
+
     def begin(self) -> Array:
         """A drive at rest (4,) [rad/s]."""
         return np.zeros(4)

@@ -231,22 +231,16 @@ class Task:
     one view, on any base.
     """
 
-    asks: ClassVar[str] = (
-        "view"  # The word by which a law declares that it supports such tasks (`Law.tasks`)
-    )
+    # The word by which a law declares that it supports such tasks (`Law.tasks`)
+    asks: ClassVar[str] = "view"
     # The bases of robots that can execute it
     bases: ClassVar[frozenset[Base]] = frozenset({"fixed", "planar", "floating"})
-    continuing: ClassVar[bool] = (
-        # Whether it has no goal to reach, but an error to keep within a tolerance for the whole
-        # duration
-        False
-    )
+    # Whether it has no goal to reach, but an error to keep within a tolerance for the whole duration
+    continuing: ClassVar[bool] = False
     lands: ClassVar[bool] = False  # Whether it ends on the ground
     ends: ClassVar[Outcome] = Outcome.converged  # The outcome with which it is done
-    by_clock: ClassVar[bool] = (
-        # Whether the reference moves with time, so that `goal_poses` are points on a trajectory
-        False
-    )
+    # Whether the reference moves with time, so that `goal_poses` are points on a trajectory
+    by_clock: ClassVar[bool] = False
     needs_pose: ClassVar[bool] = False
     """Whether the law needs the target's pose itself, so that its depth source must be one that
     estimates it.
@@ -331,8 +325,11 @@ class Task:
             up = (setup.target.T_world_start @ inverse(pose) @ inverse(setup.camera.mount.T))[2, 2]
             lean = math.degrees(math.acos(max(-1.0, min(1.0, float(up)))))
             if lean > LEVEL_DEG:
-                words = f"is the view from a craft tilted by {lean:.3g} deg, and it hovers level"
-                raise ParameterError(field, f"{words}; turn the view, or camera.mount, by as much")
+                words = (
+                    f"is the view from a craft tilted by {lean:.3g} deg, and it hovers level;"
+                    " turn the view, or camera.mount, by as much"
+                )
+                raise ParameterError(field, words)
 
     def goal_pose_at(
         self, setup: Setup, poses: tuple[Array, ...], t: float, view: int
@@ -395,9 +392,8 @@ TaskBase = Task  # the name by which tasks of one's own derive from it
 def view_from(setup: Setup, pose_with: Callable[[Array], Array], number: int = 0) -> Goal:
     """The goal for the law: the view from a goal pose.
     setup: the experiment's parts. pose_with: maps a mount T_base_camera (4, 4) to T_camera_target
-    (4, 4) at the goal. Where the goal is a
-    place of the base, a wrong calibration of the mount displaces the believed goal view. number: of
-    the view, among several in turn.
+    (4, 4) at the goal: where the goal is a place of the base, a wrong calibration of the mount
+    displaces the believed goal view. number: of the view, among several in turn.
     """
     target = setup.target
     believed = setup.believed_camera

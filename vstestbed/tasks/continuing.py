@@ -20,9 +20,8 @@ from vstestbed.tasks.judged import JudgedError, at_worst
 from vstestbed.tasks.monitor import Setup, TaskMonitor
 from vstestbed.tasks.stop import Stop
 
-WINDOW_S = (
-    2.0  # window of the mean speed [s]: longer than a start from standstill takes (.6 s to .8 m/s)
-)
+# window of the mean speed [s]: longer than a start from standstill takes (.6 s to .8 m/s)
+WINDOW_S = 2.0
 STEADY = 0.8
 """Least share of a commanded speed. Measured: steady driving .98 and more, a straight approach to a
 line at 25 degrees .91, a start within the first two seconds .87.

@@ -211,10 +211,10 @@ class GoalInsertion(Task):
         """Depth reached [m], the largest force on the plug,
         and its mean over the last second [N].
         """
-        depth, force = log["insertion_m"], log[FORCE_COLUMN]
+        force = log[FORCE_COLUMN]
         last = force[log["t"] > log["t"][-1] - 1.0]
         return {
-            "insertion_m": float(depth[-1]),
+            "insertion_m": float(log["insertion_m"][-1]),
             "largest_force_n": float(np.nanmax(force)),
             "final_force_n": float(np.nanmean(last)),
         }

@@ -54,8 +54,9 @@ class JudgedError(NamedTuple):
 
     Attributes:
         value: at the end of the run, in `unit`; NaN where it is unknown.
-        unit: px, grey levels, m, rad, or m/s (the speed of a touch-down). limit: the task is
-            reached under it. by: who measured it.
+        unit: px, grey levels, m, rad, or m/s (the speed of a touch-down).
+        limit: the task is reached under it.
+        by: who measured it.
     """
 
     value: float
@@ -78,18 +79,19 @@ def by_convergence(log: Mapping[str, Array], converged: Converged) -> JudgedErro
     """The error that `stop.converged` tests at the end of a run; of several, the one that is
     largest compared with its limit.
     """
+    angle = converged.rotation_deg
     conditions: list[tuple[float | None, str, Unit, By]] = [
-        (converged.error_px, "error_px", "px", "pixels"),
         (converged.error_grey, "error_grey", "grey levels", "grey levels"),
         (converged.position_m, "est_position_m", "m", "estimate"),
-        (converged.rotation_deg, "est_rotation_rad", "rad", "estimate"),
+        (None if angle is None else math.radians(angle), "est_rotation_rad", "rad", "estimate"),
     ]
     if "level_error_px" in log:
-        conditions[0] = converged.error_px, "level_error_px", "px", "level pixels"
+        conditions.insert(0, (converged.error_px, "level_error_px", "px", "level pixels"))
+    else:
+        conditions.insert(0, (converged.error_px, "error_px", "px", "pixels"))
     found = []
     for limit, column, unit, by in conditions:
         if limit is not None:
-            limit = math.radians(limit) if unit == "rad" else limit
             found.append(JudgedError(_last(log, column), unit, limit, by))
     return largest(found)
 
