@@ -61,11 +61,9 @@ class GroundEffect:
         [m/s].
         """
         induced = thrust / (2 * AIR * math.pi * radius * radius)
-        return (
-            1.0 / (1.0 - self.strength * nearness / 16.0 * induced / (induced + speed * speed))
-            if induced > 0
-            else 1.0
-        )
+        if induced <= 0:
+            return 1.0
+        return 1.0 / (1.0 - self.strength * nearness / 16.0 * induced / (induced + speed * speed))
 
 
 @spec
@@ -225,8 +223,7 @@ class Airframe:
         self._voltage = 0.0
         if given.battery:
             self._charge = given.battery.charge
-            power = given.battery.power((math.sqrt(craft.hover),) * 4, craft)
-            self._voltage = given.battery.voltage(self._charge, power)
+            self._voltage = given.battery.hovering(craft, self._charge)
         self._drag = 0.0
         if given.rotor_drag:
             drag = given.rotor_drag.coefficient
@@ -317,9 +314,8 @@ class Airframe:
             self._voltage = battery.voltage(self._charge, power)
             self._charge = battery.drained(self._charge, power / self._voltage, dt)
             share = battery.share(self._voltage, self._craft)
-        return _four(
-            [min(most, share * min(u, most * f)) for u, f in zip(orders, self._limit, strict=True)]
-        )
+        limits = zip(orders, self._limit, strict=True)
+        return _four([min(most, share * min(u, most * f)) for u, f in limits])
 
     def _lifted(self, air: Vector, below: Sequence[float], dt: float) -> tuple[Vector, Vector]:
         """Force and torque of what the thrusts are more than those of the model's file."""

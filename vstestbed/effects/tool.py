@@ -122,13 +122,9 @@ class Tool(Effect):
                     spec_.add_exclude(bodyname1="tool", bodyname2=other.name)
         if self.wrist is not None:
             body.add_site(name="wrist", group=4, size=[0.005] * 3)
-            for name, kind in (
-                (FORCE, mujoco.mjtSensor.mjSENS_FORCE),
-                (TORQUE, mujoco.mjtSensor.mjSENS_TORQUE),
-            ):
-                spec_.add_sensor(
-                    name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="wrist"
-                )
+            at = {"objtype": mujoco.mjtObj.mjOBJ_SITE, "objname": "wrist"}
+            spec_.add_sensor(name=FORCE, type=mujoco.mjtSensor.mjSENS_FORCE, **at)
+            spec_.add_sensor(name=TORQUE, type=mujoco.mjtSensor.mjSENS_TORQUE, **at)
 
     def actor(self, body: RobotBody, rng: np.random.Generator) -> Actor | None:
         return None if self.plug is None else PlugForce(body)

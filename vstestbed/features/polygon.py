@@ -53,9 +53,8 @@ class Polygon(Feature):
         sigma, then dx, dy of every segment.
         """
         d = segments(xy)
-        return np.concatenate(
-            [size(xy)[..., None], d.reshape(*d.shape[:-2], 2 * d.shape[-2])], axis=-1
-        )
+        flat = d.reshape(*d.shape[:-2], 2 * d.shape[-2])
+        return np.concatenate([size(xy)[..., None], flat], axis=-1)
 
     def interaction(self, xy: Array, depth: Array) -> Array:
         """L (..., 2, 6) of xy (..., N, 2) and depth (..., N) [m]: the rows of sigma and of the
@@ -77,9 +76,8 @@ class Polygon(Feature):
         i, j = np.triu_indices(xy.shape[-2], 1)
         across = np.stack([-d[..., 1], d[..., 0]], axis=-1)
         share = _weights(d) * bounded_inverse(np.hypot(d[..., 0], d[..., 1])) ** 2
-        angle_row = np.einsum(
-            "...p,...pc,...pck->...k", share, across, points[..., j, :, :] - points[..., i, :, :]
-        )
+        way = points[..., j, :, :] - points[..., i, :, :]
+        angle_row = np.einsum("...p,...pc,...pck->...k", share, across, way)
         return np.stack([size_row, angle_row], axis=-2)
 
     def error(self, s: Array, s_star: Array) -> Array:
@@ -88,11 +86,11 @@ class Polygon(Feature):
         """
         s = np.asarray(s, dtype=float)
         s_star = np.asarray(s_star, dtype=float)
-        d, d_star = (v[..., 1:].reshape(*v.shape[:-1], -1, 2) for v in (s, s_star))
+        d = s[..., 1:].reshape(*s.shape[:-1], -1, 2)
+        d_star = s_star[..., 1:].reshape(*s_star.shape[:-1], -1, 2)
         turned = angle_error(d, d_star)
-        return np.stack(
-            [np.broadcast_to(size_error(s[..., 0], s_star[..., 0]), turned.shape), turned], axis=-1
-        )
+        larger = size_error(s[..., 0], s_star[..., 0])
+        return np.stack([np.broadcast_to(larger, turned.shape), turned], axis=-1)
 
     def check_goal(self, xy: Array, depth: Array) -> None:
         """Refuse a goal view xy (N, 2) in which three or more markers span no area: on one line, or
@@ -159,7 +157,8 @@ def angle_error(d: Array, d_star: Array) -> Array:
     d_star; see `Polygon`.
     """
     # As complex numbers, so that the mean of angles is right at +-pi, too.
-    z, z_star = d[..., 0] + 1j * d[..., 1], d_star[..., 0] + 1j * d_star[..., 1]
+    z = d[..., 0] + 1j * d[..., 1]
+    z_star = d_star[..., 0] + 1j * d_star[..., 1]
     turn = z * np.conj(z_star)
     blend = np.sum(_weights(d) * turn / np.maximum(np.abs(turn), np.finfo(float).tiny), axis=-1)
     return wrap(np.angle(blend))
@@ -176,5 +175,6 @@ def _weights(d: Array) -> Array:
 
 
 def _signed_area(xy: Array) -> Array:
-    x, y = xy[..., 0], xy[..., 1]
+    x = xy[..., 0]
+    y = xy[..., 1]
     return 0.5 * np.sum(x * np.roll(y, -1, axis=-1) - np.roll(x, -1, axis=-1) * y, axis=-1)

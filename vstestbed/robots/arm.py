@@ -463,12 +463,13 @@ class Arm(Realistic):
             found.append(self.payload)
         return *found, *self.effects
 
-    def _springs(self, gears: Gears) -> tuple[Array, Array | None, Array | None]:
+    def _springs(self, gears: Gears) -> tuple[Array, Array, Array | None]:
         """Stiffness (n,) and stages (n, m, 2) of the gears, inertia of the rotors (n,); None where
         there are none of its own.
         """
         preset = self.presets.get(self.realism, {}).get("gears")
         slides = self.chain.slides
+        none = np.zeros((len(slides), 0, 2))  # stages
         if gears.stiffness_nmprad:
             if self.strain_wave is not None and gears == preset:
                 words = (
@@ -477,7 +478,7 @@ class Arm(Realistic):
                 )
                 raise ParameterError("gears.stiffness_nmprad", words)
             k = each("gears.stiffness_nmprad", gears.stiffness_nmprad, slides, turns=False)
-            return k, None, None
+            return k, none, None
         if self.strain_wave is not None:
             return *self.strain_wave.curves(slides), self.strain_wave.rotors(slides)
         if gears != preset:
@@ -486,7 +487,7 @@ class Arm(Realistic):
                 " robot.strain_wave: {sizes: [20]}"
             )
             raise ParameterError("gears.stiffness_nmprad", words)
-        return np.zeros(len(slides)), None, None
+        return np.zeros(len(slides)), none, None
 
     def _gears_step(self) -> float:
         """The longest physics step that resolves the quickest vibration of the gears [s].

@@ -235,7 +235,7 @@ class Task:
     asks: ClassVar[str] = "view"
     # The bases of robots that can execute it
     bases: ClassVar[frozenset[Base]] = frozenset({"fixed", "planar", "floating"})
-    # Whether it has no goal to reach, but an error to keep within a tolerance for the whole duration
+    # Whether it has no goal to reach, but an error to keep within a tolerance until the end
     continuing: ClassVar[bool] = False
     lands: ClassVar[bool] = False  # Whether it ends on the ground
     ends: ClassVar[Outcome] = Outcome.converged  # The outcome with which it is done
