@@ -14,7 +14,7 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Ge, Le
 
-from vstestbed.core.quantity import PositiveTime, TighterBounds
+from vstestbed.core.quantity import PositiveTime, Share, TighterBounds
 from vstestbed.core.spec import spec
 from vstestbed.effects.base import Actor, Effect, Four, RobotBody, Vector
 from vstestbed.effects.rotors import (
@@ -31,7 +31,6 @@ from vstestbed.effects.rotors import (
 # that comes back. T = b w^2 is a rotor's thrust, R its radius, z its height over what is straight
 # below it.
 AIR = 1.184  # density of the air [kg/m^3] at 25 degrees, as in models/quadrotor.xml
-Share = Annotated[float, Ge(0), Le(1)]
 
 
 @spec

@@ -4,7 +4,7 @@ what it writes into the log.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
@@ -30,13 +30,16 @@ __all__ = [
     "Further",
     "RobotBody",
     "RobotModel",
+    "Sensors",
     "StateIndices",
     "Vector",
     "places_of",
 ]
 
+Indices = NDArray[np.int_]
 Vector = tuple[float, float, float]
 Four = tuple[float, float, float, float]  # of rotors front, right, back, left
+Sensors = Mapping[str, list[float]]  # readings by name, perfect ones of MuJoCo
 ASSETS = "assets"  # folder, in a scene, of the files in memory
 RANGE_GROUP = 5  # geoms that range finders alone meet, which nothing draws
 # before the name of a joint: that of the joint of its motor, where an effect has parted the two
@@ -58,12 +61,12 @@ class StateIndices:
             `data.act`.
     """
 
-    qpos: NDArray[np.int_]
-    qvel: NDArray[np.int_]
-    motor_qpos: NDArray[np.int_]
-    motor_qvel: NDArray[np.int_]
-    ctrl: NDArray[np.int_] | slice
-    act: NDArray[np.int_]
+    qpos: Indices
+    qvel: Indices
+    motor_qpos: Indices
+    motor_qvel: Indices
+    ctrl: Indices | slice
+    act: Indices
 
     @classmethod
     def of(
@@ -85,9 +88,7 @@ class StateIndices:
         return cls(*places_of(model, links), *places_of(model, motors), ctrl, act)
 
 
-def places_of(
-    model: mujoco.MjModel, names: Sequence[str]
-) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
+def places_of(model: mujoco.MjModel, names: Sequence[str]) -> tuple[Indices, Indices]:
     """Where joints of one degree of freedom (n,) are in qpos and in qvel, by their names."""
     # By name, not by number: attached models are renumbered, and a joint's number is not its place
     # in qpos once a free joint, which takes seven places, comes before it.

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Protocol
 import numpy as np
 from annotated_types import Ge, Gt, Le, Len
 
-from vstestbed.core.quantity import Sigma
+from vstestbed.core.quantity import Share, Sigma
 from vstestbed.core.spec import spec
 from vstestbed.effects.base import Four, Vector
 
@@ -166,7 +166,7 @@ class Battery:
 
     cells: Annotated[int, Ge(1), Le(100)] = 4
     capacity_ah: Annotated[float, Gt(0), Le(1e4)] = 5.0
-    charge: Annotated[float, Ge(0), Le(1)] = 1.0
+    charge: Share = 1.0
     resistance_ohm: Annotated[float, Ge(0), Le(10)] = 0.02
     reference_charge: Annotated[float, Ge(0.05), Le(1)] = 0.5
     efficiency: Annotated[float, Ge(0.05), Le(1)] = 0.75

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -13,7 +13,7 @@ from annotated_types import Ge, Gt, Le
 from vstestbed.core.geometry import Array, quaternion_wxyz
 from vstestbed.core.quantity import Mass, PositiveLength
 from vstestbed.core.spec import spec
-from vstestbed.effects.base import Actor, Effect, RobotBody, RobotModel
+from vstestbed.effects.base import Actor, Effect, RobotBody, RobotModel, Sensors
 
 # names of the geom and of the sensors in the robot's model
 PLUG = "plug"
@@ -60,7 +60,7 @@ class WristSensor:
     noise_n: Annotated[float, Ge(0), Le(1e3)] = 0.0
     noise_nm: Annotated[float, Ge(0), Le(1e3)] = 0.0
 
-    def read(self, sensors: Mapping[str, list[float]], rng: np.random.Generator) -> Array:
+    def read(self, sensors: Sensors, rng: np.random.Generator) -> Array:
         """The wrench (6,) on the tool, force and moment at the flange's origin in the flange's
         frame [N, Nm].
         """

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from typing import Annotated, Any, ClassVar, Self
@@ -22,7 +22,7 @@ from vstestbed.core.errors import ParameterError, UnreachableError
 from vstestbed.core.geometry import Array, adjoint, inverse, log, rigid_error
 from vstestbed.core.quantity import Angle
 from vstestbed.core.spec import spec
-from vstestbed.effects.base import Effect
+from vstestbed.effects.base import Effect, Sensors
 from vstestbed.effects.joints import (
     FINEST,
     CurrentLoops,
@@ -541,7 +541,7 @@ class Arm(Realistic):
         if encoders is None and wrist is None:
             return super().instruments(rng)
 
-        def read(q: Array, qd: Array, sensors: Mapping[str, list[float]]) -> Reading:
+        def read(q: Array, qd: Array, sensors: Sensors) -> Reading:
             if encoders is not None:
                 q, qd = encoders.read(q, qd, slides)
             return Reading(q, qd, wrench=None if wrist is None else wrist.read(sensors, rng))

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -31,14 +31,14 @@ from vstestbed.core.quantity import (
     TighterBounds,
 )
 from vstestbed.core.spec import spec
-from vstestbed.effects.base import Effect
+from vstestbed.effects.base import Effect, Sensors
 from vstestbed.effects.body import Change, couple, loosen, put, scale, stretch
 from vstestbed.effects.floor import UnevenFloor
 from vstestbed.effects.wheels import WHEELS, Tyres, WheelSpread
 from vstestbed.robots.allocation import Allocation, Mount
 from vstestbed.robots.base import BodyFile, Onboard, Reading, SensorModel
 from vstestbed.robots.own_model import OwnModel
-from vstestbed.robots.realism import Level
+from vstestbed.robots.realism import Presets
 from vstestbed.robots.vehicle import PLANE, GroundStart, Vehicle
 
 # Kinematic bicycle model: a car whose wheels roll without slip, its limits, and its closed loop
@@ -381,7 +381,7 @@ integral [rad/s], the drive [rad/s].
 """
 
 
-CAR: Mapping[Level, Mapping[str, object]] = {
+CAR: Presets = {
     "lab": {
         "tyres": Tyres(stiffness=12.0, relaxation_m=0.1),
         "steering_play_deg": 0.5,
@@ -542,7 +542,7 @@ class Car(Vehicle, Onboard):
         """
         compass = self.compass
 
-        def read(q: Array, qd: Array, sensors: Mapping[str, list[float]]) -> Reading:
+        def read(q: Array, qd: Array, sensors: Sensors) -> Reading:
             x, y = sensors["heading"][:2]
             error = math.radians(compass.bias_deg + compass.sigma_deg * rng.standard_normal())
             heading = (math.atan2(y, x) + error + math.pi) % (2 * math.pi) - math.pi

@@ -23,7 +23,6 @@ models/omni.xml and models/omni_planar.xml, which `parameters` changes (`OmniPar
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import cached_property
 from typing import Annotated, Literal
 
@@ -41,7 +40,7 @@ from vstestbed.effects.wheels import WHEELS, WheelSpread
 from vstestbed.robots.allocation import Allocation, Mount
 from vstestbed.robots.base import BodyFile, Onboard, Reading
 from vstestbed.robots.own_model import OwnModel
-from vstestbed.robots.realism import Level
+from vstestbed.robots.realism import Presets
 from vstestbed.robots.vehicle import PLANE, GroundStart, Vehicle
 
 # signs of the wheels' places (x, y) in the base frame (4, 2)
@@ -208,7 +207,7 @@ def _larger_rollers(name: str, factor: float) -> tuple[Change, ...]:
 PLATFORM = OmniParameters()  # the base of models/omni.xml and models/omni_planar.xml
 
 
-OMNI: Mapping[Level, Mapping[str, object]] = {
+OMNI: Presets = {
     "lab": {
         "rolling_resistance": 0.01,
         "drive_lag_s": 0.03,

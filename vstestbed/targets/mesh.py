@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Ge, Le, Len
+from annotated_types import Len
 from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.named_files import absolute_file, place_of_file
-from vstestbed.core.quantity import Coefficient, PositiveLength
+from vstestbed.core.quantity import Coefficient, PositiveLength, Share
 from vstestbed.core.registry import Registry
 from vstestbed.core.spec import spec
 from vstestbed.targets.base import Body, Target
@@ -149,7 +149,6 @@ def _on_edge(p: Array, q: Array, point: Array) -> Array:
     return p + np.clip(share, 0, 1)[:, None] * way
 
 
-Channel = Annotated[float, Ge(0), Le(1)]
 SOLID_MARKERS = Registry("marker", Disc, Sphere, default="disc")
 
 
@@ -174,7 +173,7 @@ class MeshTarget(Target):
     at: Annotated[tuple[Annotated[tuple[Coefficient, ...], Len(3, 3)], ...], Len(1, 24)]
     marker: Annotated[Marker, SOLID_MARKERS] = Disc()
     draw_markers: bool = True
-    color: Annotated[tuple[Channel, ...], Len(3, 3)] = (0.72, 0.74, 0.77)
+    color: Annotated[tuple[Share, ...], Len(3, 3)] = (0.72, 0.74, 0.77)
 
     def __post_init__(self) -> None:
         # frozen; a run remembers where its solid is

@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from annotated_types import Ge, Gt, Le, Len
+from annotated_types import Len
 from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.lazy import cv2, quiet
 from vstestbed.core.named_files import absolute_file, folder, place_of_file
-from vstestbed.core.quantity import Pixel, PositiveLength
+from vstestbed.core.quantity import Pixel, PositiveLength, PositiveShare, Share
 from vstestbed.core.spec import spec
 from vstestbed.targets.base import BOARD_MARGIN, Target, in_plane
 
@@ -45,6 +45,7 @@ MARGIN = 16
 SHARE = 1 - 2 / MARGIN
 KINDS = (".png", ".jpg", ".jpeg")
 TEXTURE = "texture:"  # before the name of a bundled texture, in place of a file's
+Picture = NDArray[np.uint8]  # pixels (H, W, 3)
 # a PNG file, and width and height [px] of the picture that it was made of
 Texture = tuple[bytes, tuple[int, int]]
 
@@ -83,7 +84,7 @@ def place_of_picture(file: str) -> Path:
     )
 
 
-def read_rgb(path: Path) -> NDArray[np.uint8]:
+def read_rgb(path: Path) -> Picture:
     """Pixels (H, W, 3) of a PNG or JPEG file, red first, as of `decoded`,
     at the file's own size.
     """
@@ -96,7 +97,7 @@ def read_picture(path: Path, written_ns: int) -> Texture:
     return texture_of(decoded(path))
 
 
-def texture_of(image: NDArray[np.uint8]) -> Texture:
+def texture_of(image: Picture) -> Texture:
     """The texture of a picture's pixels (H, W, 3), blue first.
 
     It has a margin at its right and below that repeats the outermost pixels, of the right (lower)
@@ -128,11 +129,11 @@ def as_png(path: Path) -> bytes:
     return _png(decoded(path))
 
 
-def _png(image: NDArray[np.uint8]) -> bytes:
+def _png(image: Picture) -> bytes:
     return cv2.imencode(".png", image)[1].tobytes()
 
 
-def _resized(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
+def _resized(image: Picture, width: int, height: int) -> Picture:
     """An image (H, W, 3) of another size [px]; itself where it has that size."""
     size = width, height
     now = image.shape[1], image.shape[0]
@@ -142,7 +143,7 @@ def _resized(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.ui
     return np.asarray(cv2.resize(image, size, interpolation=how), np.uint8)
 
 
-def _stretched(image: NDArray[np.uint8], axis: int) -> NDArray[np.uint8]:
+def _stretched(image: Picture, axis: int) -> Picture:
     """An image (H, W, 3) made longer, so that with its margin it has a power of two of pixels along
     an axis; MOST_PX at the most.
 
@@ -162,7 +163,7 @@ def _stretched(image: NDArray[np.uint8], axis: int) -> NDArray[np.uint8]:
     return np.roll(np.pad(image, margins, mode="edge"), -edge, axis)
 
 
-def whole(raw: NDArray[np.uint8]) -> bool:
+def whole(raw: Picture) -> bool:
     """Whether the chunks of a PNG end within it; True of other files. Over a chunk of claimed
     gigabytes OpenCV 5.0 hangs.
     """
@@ -177,7 +178,7 @@ def whole(raw: NDArray[np.uint8]) -> bool:
     return False
 
 
-def decoded(path: Path) -> NDArray[np.uint8]:
+def decoded(path: Path) -> Picture:
     """The pixels (H, W, 3) of a picture file, blue first, upright as its EXIF data says; what is
     transparent is white.
 
@@ -241,8 +242,8 @@ class PictureTarget(Target):
     at_px: Annotated[tuple[Pixel, ...], Len(0, 24)] = ()
     draw_markers: bool = True
     lit: bool = True
-    albedo: Annotated[float, Gt(0), Le(1)] = 1.0
-    gloss: Annotated[float, Ge(0), Le(1)] = 0.0
+    albedo: PositiveShare = 1.0
+    gloss: Share = 0.0
     one_sided = True
 
     def __post_init__(self) -> None:
@@ -280,7 +281,7 @@ class PictureTarget(Target):
     def source(self) -> Path:
         return place_of_picture(self.file)
 
-    def repainted(self, change: Callable[[NDArray[np.uint8]], NDArray[np.uint8]]) -> Self:
+    def repainted(self, change: Callable[[Picture], Picture]) -> Self:
         """The same target with its picture changed: of the file's pixels (H, W, 3), red first,
         those that are drawn. `source` stays.
         """

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -32,7 +32,7 @@ from vstestbed.robots.base import Base, Supervisor
 from vstestbed.targets import Target
 from vstestbed.targets.picture import read_rgb
 from vstestbed.tasks.frame import ImageError
-from vstestbed.tasks.judged import JudgedError, by_convergence
+from vstestbed.tasks.judged import JudgedError, Log, by_convergence
 from vstestbed.tasks.monitor import Setup, TaskMonitor
 from vstestbed.tasks.stop import Stop
 from vstestbed.vision.observe import pose_by_depth, shown_goal
@@ -221,9 +221,6 @@ class GoalPicture:
         if self.jpeg_quality is None:
             return kept
         return round_trip(JpegStream(quality=self.jpeg_quality), 1.0)(kept)
-
-
-Log = Mapping[str, Array]  # the columns of a log by name, shape (frames,) each
 
 
 class Task:

@@ -38,6 +38,10 @@ target now at these true poses (4, 4).
 """
 
 
+LeastSpeeds = tuple[tuple[MinSpeed, ...], Odometer | None]
+"""Minimum speeds, and what measures them."""
+
+
 class SpeedMonitor:
     """Tests mean speeds over WINDOW_S, and keeps the first violation.
 
@@ -98,7 +102,7 @@ class Continuing(Task):
         """True task error at a time t [s], [m]."""
         raise NotImplementedError
 
-    def least_speeds(self, setup: Setup) -> tuple[tuple[MinSpeed, ...], Odometer | None]:
+    def least_speeds(self, setup: Setup) -> LeastSpeeds:
         """Minimum speeds, and the odometer that measures them; by default none."""
         return (), None
 

@@ -22,7 +22,7 @@ from vstestbed.tasks.continuing import (
     FOLLOWS,
     STEADY,
     Continuing,
-    MinSpeed,
+    LeastSpeeds,
     Odometer,
     Settle,
     Tolerance,
@@ -118,7 +118,7 @@ class GoalGap(Continuing):
         """Distance minus gap: positive when too far."""
         return math.dist(T_world_base[:2, 3], T_world_target[:2, 3]) - self.gap_m
 
-    def least_speeds(self, setup: Setup) -> tuple[tuple[MinSpeed, ...], Odometer | None]:
+    def least_speeds(self, setup: Setup) -> LeastSpeeds:
         # Without them a run could be completed behind a leader that is stuck, or by a follower that
         # stands while the leader circles it.
         if setup.target.carrier is None:
@@ -227,7 +227,7 @@ class GoalLine(Continuing):
         here = place_of(inverse(T_world_target) @ T_world_base)
         return _lines(setup.target).route.beside(here) - self.offset_m
 
-    def least_speeds(self, setup: Setup) -> tuple[tuple[MinSpeed, ...], Odometer | None]:
+    def least_speeds(self, setup: Setup) -> LeastSpeeds:
         v = setup.law.cruise_mps
         odometer = along_route(_lines(setup.target).route)
         return () if v is None else (("the vehicle, along its line,", v, STEADY * v),), odometer
