@@ -59,10 +59,21 @@ class Feature(ABC):
         """Error e (..., rows): s - s*; of features with angles, these wrapped."""
         return np.subtract(s, s_star, dtype=float)
 
+    def _checked(self, x: Array, distance: Array) -> tuple[Array, Array]:
+        return checked(x, distance, self.inputs, self.least_markers)
 
-def checked(
-    x: Array, distance: Array, inputs: tuple[str, ...], least: int = 1
-) -> tuple[Array, Array]:
+
+def in_one(s: Array) -> Array:
+    """The k numbers of N markers (..., N, k), one marker after the other, (..., N k)."""
+    return s.reshape(*s.shape[:-2], s.shape[-2] * s.shape[-1])
+
+
+def rows_in_one(L: Array) -> Array:
+    """The k rows of N markers (..., N, k, 6), one marker below the other, (..., N k, 6)."""
+    return L.reshape(*L.shape[:-3], L.shape[-3] * L.shape[-2], 6)
+
+
+def checked(x: Array, distance: Array, inputs: tuple[str, ...], least: int) -> tuple[Array, Array]:
     """Both inputs of a feature as floating-point arrays, validated: xy (..., N, 2) or ray (..., N,
     3), and distances (..., N) [m].
 

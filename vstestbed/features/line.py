@@ -16,7 +16,7 @@ from vstestbed.features.base import (
     angle,
     at_least,
     bounded_inverse,
-    checked,
+    in_one,
     square,
     wrap,
     wrap_together,
@@ -61,11 +61,11 @@ class LineFeature(Feature):
         # cos theta = -dy/|d| and sin theta = dx/|d| are known without evaluating a cosine
         length = np.maximum(np.hypot(d[..., 0], d[..., 1]), np.finfo(float).tiny)
         rho = (start[..., 1] * d[..., 0] - start[..., 0] * d[..., 1]) / length
-        return np.stack([rho, theta], axis=-1).reshape(*xy.shape[:-2], 2 * theta.shape[-1])
+        return in_one(np.stack([rho, theta], axis=-1))
 
     def interaction(self, xy: Array, depth: Array) -> Array:
         """L (..., 2 lines, 6) of xy (..., N, 2) and depth (..., N) [m] of the markers."""
-        xy, depth = checked(xy, depth, self.inputs, self.least_markers)
+        xy, depth = self._checked(xy, depth)
         points = homogeneous(xy) * depth[..., None]
         s = self.measure(xy)
         L = line_interaction(s[..., 0::2], s[..., 1::2], _plane(*_ends(points)))
@@ -246,7 +246,7 @@ class Segment(Feature):
 
     def interaction(self, xy: Array, depth: Array) -> Array:
         """L (..., 4, 6) of xy (..., N, 2) and depth (..., N) [m]."""
-        xy, depth = checked(xy, depth, self.inputs, self.least_markers)
+        xy, depth = self._checked(xy, depth)
         L = _POINT.interaction(xy[..., :2, :], depth[..., :2])
         ends = [Dual(xy[..., i // 2, i % 2], L[..., i, :]) for i in range(4)]
         return np.stack([row.rate for row in self._rows(*ends)], axis=-2)

@@ -21,7 +21,6 @@ from vstestbed.features.base import (
     Dual,
     Feature,
     angle,
-    checked,
     condition,
     require_plane,
     square,
@@ -444,7 +443,7 @@ class Moments(Feature):
 
     def interaction(self, xy: Array, depth: Array) -> Array:
         """L (..., rows, 6) of xy (..., N, 2) and depth (..., N) [m]."""
-        xy, depth = checked(xy, depth, self.inputs, self.least_markers)
+        xy, depth = self._checked(xy, depth)
         m = MomentSet.measured(xy, self.of, self._order + 1).in_plane(fitted_plane(xy, depth))
         return np.stack([self._row(m, row).rate for row in self.rows], axis=-2)
 
@@ -613,7 +612,7 @@ class Ellipse(Feature):
 
     def interaction(self, xy: Array, depth: Array) -> Array:
         """L (..., rows, 6) of points xy (..., N, 2) on the outline and their depth (..., N) [m]."""
-        xy, depth = checked(xy, depth, self.inputs, self.least_markers)
+        xy, depth = self._checked(xy, depth)
         m = ellipse_moments(fitted_ellipse(xy)).in_plane(fitted_plane(xy, depth))
         return np.stack([_row(m, row).rate for row in self.rows], axis=-2)
 

@@ -9,7 +9,14 @@ import numpy as np
 from vstestbed.core.geometry import Array, joined
 from vstestbed.core.quantity import PositiveLength
 from vstestbed.core.spec import spec
-from vstestbed.features.base import Feature, bearing_weight, checked, wrap, wrap_together
+from vstestbed.features.base import (
+    Feature,
+    bearing_weight,
+    in_one,
+    rows_in_one,
+    wrap,
+    wrap_together,
+)
 
 
 @spec
@@ -27,12 +34,11 @@ class Point(Feature):
 
     def measure(self, xy: Array) -> Array:
         """The vector s (..., 2N) of xy (..., N, 2)."""
-        xy = np.asarray(xy, dtype=float)
-        return xy.reshape(*xy.shape[:-2], 2 * xy.shape[-2])
+        return in_one(np.asarray(xy, dtype=float))
 
     def interaction(self, xy: Array, depth: Array) -> Array:
         """L (..., 2N, 6) of xy (..., N, 2) and depth (..., N) [m]."""
-        xy, depth = checked(xy, depth, self.inputs)
+        xy, depth = self._checked(xy, depth)
         x = xy[..., 0]
         y = xy[..., 1]
         inv_z = 1.0 / depth
@@ -48,7 +54,7 @@ class Point(Feature):
         L[..., 1, 4] = -across
         L[..., 0, 5] = y
         L[..., 1, 5] = -x
-        return L.reshape(*xy.shape[:-2], 2 * xy.shape[-2], 6)
+        return rows_in_one(L)
 
 
 _POINT = Point()
@@ -86,7 +92,7 @@ class StereoPoint(Feature):
         x, y, w = np.moveaxis(np.asarray(xyw, dtype=float), -1, 0)
         d = self.baseline_m * w
         rows = (x, y, d) if self.form == "disparity" else (x, x - d, y)
-        return np.stack(rows, axis=-1).reshape(*x.shape[:-1], 3 * x.shape[-1])
+        return in_one(np.stack(rows, axis=-1))
 
     def interaction(self, xyw: Array, depth: Array) -> Array:
         """L (..., 3N, 6) of xyw (..., N, 3) and depth (..., N) [m]."""
@@ -101,7 +107,7 @@ class StereoPoint(Feature):
         of_w[..., 4] = -w * x
         of_d = self.baseline_m * of_w
         rows = (of_x, of_y, of_d) if self.form == "disparity" else (of_x, of_x - of_d, of_y)
-        return np.stack(rows, axis=-2).reshape(*x.shape[:-1], 3 * x.shape[-1], 6)
+        return rows_in_one(np.stack(rows, axis=-2))
 
 
 @spec
@@ -166,12 +172,12 @@ class Polar(Bearings):
     def measure(self, xy: Array) -> Array:
         """The vector s (..., 2N) [1, rad] of xy (..., N, 2)."""
         xy = np.asarray(xy, dtype=float)
-        s = joined(np.hypot(xy[..., 0], xy[..., 1]), np.arctan2(xy[..., 1], xy[..., 0]))
-        return s.reshape(*xy.shape[:-2], 2 * xy.shape[-2])
+        r = np.hypot(xy[..., 0], xy[..., 1])
+        return in_one(joined(r, np.arctan2(xy[..., 1], xy[..., 0])))
 
     def interaction(self, xy: Array, depth: Array) -> Array:
         """L (..., 2N, 6) of xy (..., N, 2) and depth (..., N) [m]."""
-        xy, depth = checked(xy, depth, self.inputs)
+        xy, depth = self._checked(xy, depth)
         r, phi = np.moveaxis(self.measure(xy).reshape(xy.shape), -1, 0)
         cos = np.cos(phi)
         sin = np.sin(phi)
@@ -189,7 +195,7 @@ class Polar(Bearings):
         L[..., 1, 3] = cos * inv_r
         L[..., 1, 4] = sin * inv_r
         L[..., 1, 5] = -weight
-        return L.reshape(*xy.shape[:-2], 2 * xy.shape[-2], 6)
+        return rows_in_one(L)
 
 
 @spec
@@ -213,14 +219,13 @@ class Spherical(Bearings):
     def measure(self, ray: Array) -> Array:
         """The vector s (..., 2N) [rad] of rays (..., N, 3), of any length."""
         X, Y, Z = np.moveaxis(np.asarray(ray, dtype=float), -1, 0)
-        s = joined(np.arctan2(np.hypot(X, Y), Z), np.arctan2(Y, X))
-        return s.reshape(*X.shape[:-1], 2 * X.shape[-1])
+        return in_one(joined(np.arctan2(np.hypot(X, Y), Z), np.arctan2(Y, X)))
 
     def interaction(self, ray: Array, range_: Array) -> Array:
         """L (..., 2N, 6) of rays (..., N, 3) and the distance of each point from the camera's
         centre (..., N) [m].
         """
-        ray, range_ = checked(ray, range_, self.inputs)
+        ray, range_ = self._checked(ray, range_)
         s = self.measure(ray).reshape(*ray.shape[:-1], 2)
         cos_t, cos = np.moveaxis(np.cos(s), -1, 0)
         sin_t, sin = np.moveaxis(np.sin(s), -1, 0)
@@ -239,7 +244,7 @@ class Spherical(Bearings):
         L[..., 1, 3] = cos * cos_t * inv_sin
         L[..., 1, 4] = sin * cos_t * inv_sin
         L[..., 1, 5] = -weight
-        return L.reshape(*ray.shape[:-2], 2 * ray.shape[-2], 6)
+        return rows_in_one(L)
 
     def _off_axis(self, first: Array) -> Array:
         return np.sin(first)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
-from vstestbed.features.base import Feature, bounded_inverse, checked, wrap
+from vstestbed.features.base import Feature, bounded_inverse, in_one, wrap
 from vstestbed.features.points import Point
 
 _POINT = Point()
@@ -52,15 +52,13 @@ class Polygon(Feature):
         """The vector s (..., 1 + N (N-1)) of xy (..., N, 2):
         sigma, then dx, dy of every segment.
         """
-        d = segments(xy)
-        flat = d.reshape(*d.shape[:-2], 2 * d.shape[-2])
-        return np.concatenate([size(xy)[..., None], flat], axis=-1)
+        return np.concatenate([size(xy)[..., None], in_one(segments(xy))], axis=-1)
 
     def interaction(self, xy: Array, depth: Array) -> Array:
         """L (..., 2, 6) of xy (..., N, 2) and depth (..., N) [m]: the rows of sigma and of the
         angle.
         """
-        xy, depth = checked(xy, depth, self.inputs, self.least_markers)
+        xy, depth = self._checked(xy, depth)
         points = _POINT.interaction(xy, depth).reshape(*xy.shape, 6)
         area = _signed_area(xy)
         after = np.roll(xy, -1, axis=-2)

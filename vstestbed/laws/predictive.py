@@ -84,7 +84,7 @@ def blocks_of(horizon: int, blocks: int) -> Blocks:
     return np.repeat(np.arange(blocks), lengths)
 
 
-def beginnings(block: Blocks) -> Blocks:
+def beginnings(block: Blocks) -> NDArray[np.intp]:
     """The first period of each block (B,)."""
     return np.flatnonzero(np.diff(block, prepend=-1))
 
