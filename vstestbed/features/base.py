@@ -182,7 +182,6 @@ def bearing_weight(radius: Array, less_at_centre: bool) -> Array:
 
 def bounded_inverse(x: Array) -> Array:
     """1/x for x > 1e-3, else x/1e-6: continuous, at most 1e3, zero at zero; x >= 0, any shape."""
-    x = np.asarray(x, dtype=float)
     return np.where(x > FLOOR, 1 / np.maximum(x, FLOOR), x / FLOOR / FLOOR)
 
 

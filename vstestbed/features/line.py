@@ -99,7 +99,7 @@ def line_interaction(rho: Array, theta: Array, plane: Array) -> Array:
 
     Reference: Espiau, Chaumette & Rives 1992, doi:10.1109/70.143350.
     """
-    rho, theta, plane = (np.asarray(v, dtype=float) for v in (rho, theta, plane))
+
     if (plane[..., 3] == 0).any():
         raise ParameterError("plane", "must not contain the camera's centre: D must not be 0")
     cos = np.cos(theta)
@@ -161,7 +161,7 @@ def floor_point(xy: Array, T_base_camera: Array) -> Array:
     """Intersections (..., 2) of rays with normalised coordinates xy (..., 2) with the floor, in the
     base frame [m]; NaN where they rise.
     """
-    d = homogeneous(np.asarray(xy, dtype=float)) @ T_base_camera[:3, :3].T
+    d = homogeneous(xy) @ T_base_camera[:3, :3].T
     t = T_base_camera[:3, 3]
     reach = t[2] / np.where(d[..., 2] < 0, -d[..., 2], np.nan)
     return t[:2] + reach[..., None] * d[..., :2]

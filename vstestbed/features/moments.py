@@ -49,7 +49,6 @@ def image_moments(xy: Array, of: Of, order: int) -> Array:
     Reference: Steger 1996, "On the calculation of arbitrary moments of polygons", Technische
     Universität München, FGBV-96-05.
     """
-    xy = np.asarray(xy, dtype=float)
     if of == "region":
         t, share = _nodes(order)
         after = np.roll(xy, -1, axis=-2)
@@ -82,8 +81,7 @@ def fitted_plane(xy: Array, depth: Array) -> Array:
 
     Points on one line do not tell the tilt about it, which is then taken as zero.
     """
-    xy = np.asarray(xy, dtype=float)
-    inverse = 1 / np.asarray(depth, dtype=float)
+    inverse = 1 / depth
     middle = xy.mean(axis=-2)
     mean = inverse.mean(axis=-1)
     d = xy - middle[..., None, :]
@@ -661,7 +659,6 @@ def ellipse_moments(s: Array) -> MomentSet:
     """The moments of the region in an ellipse s = (xg, yg, n20, n11, n02) (..., 5), up to third
     order.
     """
-    s = np.asarray(s, dtype=float)
     n20, n11, n02 = np.moveaxis(s[..., 2:], -1, 0)
     area = 4 * np.pi * np.sqrt(n20 * n02 - n11 * n11)
     mu = np.zeros((*s.shape[:-1], 4, 4))
@@ -679,7 +676,6 @@ def fitted_ellipse(xy: Array) -> Array:
     About the points' mean, in units of their distance from it: the least squares of
     x^2 + y^2 + a (x^2 - y^2) + 2 b x y + c x + d y + e = 0, an equation that any ellipse has.
     """
-    xy = np.asarray(xy, dtype=float)
     middle = xy.mean(axis=-2)
     about = xy - middle[..., None, :]
     unit = np.maximum(np.sqrt(np.square(about).sum(axis=-1).mean(axis=-1)), np.finfo(float).tiny)

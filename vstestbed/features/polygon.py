@@ -129,8 +129,6 @@ def size_error(
     faces the camera sigma_dot = sigma vz/Z, so that the last form is that of the depth, log(Z*/Z).
     A size that is not positive has no ratio: ParameterError.
     """
-    sigma = np.asarray(sigma, dtype=float)
-    sigma_star = np.asarray(sigma_star, dtype=float)
     if form == "difference":
         return sigma - sigma_star
     if not ((sigma > 0).all() and (sigma_star > 0).all()):

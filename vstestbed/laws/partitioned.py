@@ -222,7 +222,7 @@ class Partitioned(ErrorLaw):
         """The remaining rotations (...) [rad], not wrapped: the way round is chosen at the first
         frame, where `last` is NaN, and kept.
         """
-        ways = np.asarray(angle)[..., None] + _ROUND
+        ways = angle[..., None] + _ROUND
         first = np.isnan(last)
         # At first the shortest; then the one nearest to the last, since near a half turn the
         # wrapped angle would change its sign.

@@ -78,8 +78,6 @@ def steering_of(v: Array | float, w: Array | float, wheelbase: float) -> Array:
     """The steering angle for a speed v [m/s] and a yaw rate w [rad/s]: gamma = atan(L w / v), in
     [-pi/2, pi/2].
     """
-    v = np.asarray(v, dtype=float)
-    w = np.asarray(w, dtype=float)
     # atan2(sign(v) L w, |v|) and not atan2(L w, v): in reverse that would point the wheels
     # backwards. At v = 0 it is a quarter turn.
     return np.arctan2(np.where(v < 0, -w, w) * wheelbase, np.abs(v))
@@ -122,7 +120,6 @@ def rolled(place: Array, v: Array, steering: Array, wheelbase: float, duration: 
     """The place after `duration` [s] at constant speed and steering angle from `place` (..., 3):
     the exact arc.
     """
-    v = np.asarray(v, dtype=float)
     motion = np.stack(np.broadcast_arrays(v, 0.0, yaw_rate(v, steering, wheelbase)), axis=-1)
     return moved(place, motion, duration)
 

@@ -35,8 +35,7 @@ def on_foot(T: Array, xy: Array) -> Array:
     """Floor points xy (..., 2) of the ground frame `foot_of(T)`, in the frame of the camera at T
     (4, 4), shape (..., 3) [m].
     """
-    flat = in_plane(np.asarray(xy, dtype=float))
-    return transform(inverse(T) @ pose_on_ground(foot_of(T)), flat)
+    return transform(inverse(T) @ pose_on_ground(foot_of(T)), in_plane(xy))
 
 
 @spec

@@ -66,7 +66,6 @@ class Route(ABC):
         A closed route is periodic; an open one continues straight beyond both ends.
         """
         way, xy, turned, bent = self.samples
-        s = np.asarray(s, dtype=float)
         # Not np.mod: the number of laps is needed for the heading, too.
         rounds = np.floor(s / self.length) if self.closed else np.zeros_like(s)
         along = s - rounds * self.length

@@ -350,10 +350,9 @@ class ErrorIntegrals:
 
     def figures(self, log: Log, setup: Setup) -> Figures:
         """See `MetricContract`; undefined for a target that was never seen."""
-        t = np.asarray(log["t"], dtype=float)
-        e = np.asarray(log["error_px"], dtype=float)
-        t = t[np.isfinite(e)]
-        e = e[np.isfinite(e)]
+        known = np.isfinite(log["error_px"])
+        t = log["t"][known]
+        e = log["error_px"][known]
         found = [float(np.trapezoid(y, t)) for y in (e, e * e, t * e)] if len(e) else [None] * 3
         return dict(zip(self.titles, found, strict=True))
 
