@@ -116,7 +116,7 @@ def condition(L: Array, scale: Array, depth: Array) -> float:
     Rows are in units of their quantities `scale` (rows,), translations in units of the mean depth.
     Of more than six rows, six count.
     """
-    A = L / np.asarray(scale)[:, None] * np.repeat([np.mean(depth), 1.0], 3)
+    A = L / np.asarray(scale)[:, None] * np.repeat([float(np.mean(depth)), 1.0], 3)
     if not np.isfinite(A).all():
         return np.inf
     singular = np.linalg.svd(A, compute_uv=False)

@@ -99,7 +99,6 @@ def line_interaction(rho: Array, theta: Array, plane: Array) -> Array:
 
     Reference: Espiau, Chaumette & Rives 1992, doi:10.1109/70.143350.
     """
-
     if (plane[..., 3] == 0).any():
         raise ParameterError("plane", "must not contain the camera's centre: D must not be 0")
     cos = np.cos(theta)

@@ -273,7 +273,8 @@ class GoalLevel:
         e = self._unlit(e, w)
         squares = e * e if w is None else w * e * e
         total = float(len(e) if w is None else w.sum(dtype=float))
-        return H, b, float(np.sqrt(squares.sum(dtype=float) / total)) if total > 0 else float("nan")
+        error = float(np.sqrt(squares.sum(dtype=float) / total)) if total > 0 else math.nan
+        return H, b, error
 
     def _unlit(self, e: Grey, w: Grey | None) -> Grey:
         """Errors (n,) without what gain and offset of a light that may have changed explain of

@@ -13,7 +13,7 @@ import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
@@ -429,7 +429,7 @@ class Car(Vehicle, Onboard):
         *("rear_left", "rear_right", "front_left", "front_right"),
     )
     control_period_s = 0.01
-    proprioception_names = (  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
+    proprioception_names: ClassVar[tuple[str, ...]] = (  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
         *Vehicle.proprioception_names,
         "compass",
         "steering",

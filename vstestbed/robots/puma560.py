@@ -6,7 +6,7 @@ are in `models/puma560.xml`.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Ge, Le
@@ -144,7 +144,7 @@ class Puma560(Arm):
     chain = CHAIN
     joints = CHAIN.names
     joint_speeds = SPEED_LIMITS
-    unit_m = UPPER_ARM  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
+    unit_m: ClassVar[float] = UPPER_ARM  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
 
     def __post_init__(self) -> None:
         self._check()

@@ -243,7 +243,17 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
     max_yaw_rate_radps: PositiveRate = 0.8
 
     presets: ClassVar[Presets] = {"lab": LAB, "field": FIELD}
-    proprioception_names = ("roll", "pitch", "range", "vx", "vy", "vz", "wx", "wy", "wz")  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
+    proprioception_names: ClassVar[tuple[str, ...]] = (  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
+        "roll",
+        "pitch",
+        "range",
+        "vx",
+        "vy",
+        "vz",
+        "wx",
+        "wy",
+        "wz",
+    )
     base = "floating"
     reading = FlightReading
     control_period_s = STEP_S

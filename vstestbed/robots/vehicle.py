@@ -158,7 +158,7 @@ class Vehicle(Realistic):
     # Whether the class's model and drive follow the three fields of its wheels
     imperfect_wheels: ClassVar[bool] = False
     base = "planar"
-    proprioception_names = ("odo_x", "odo_y", "odo_heading")  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
+    proprioception_names: ClassVar[tuple[str, ...]] = ("odo_x", "odo_y", "odo_heading")  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
     # x of its rear and of its front end in the base frame [m]
     ends_m: ClassVar[tuple[float, float]] = (0.0, 0.0)
     turning_radius_m: ClassVar[float] = 0.0  # of its tightest circle [m]; 0: it turns on the spot
