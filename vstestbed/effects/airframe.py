@@ -369,11 +369,11 @@ def _probes(craft: _Craft) -> tuple[Vector, ...]:
     """
     d = craft.arm_m
     r = craft.rotor_radius_m / math.sqrt(2)
-    return tuple(
-        (x * d + r * u, y * d + r * v, ROTOR_M)
-        for x, y in zip(ALONG, ACROSS, strict=True)
-        for u, v in zip(ALONG, ACROSS, strict=True)
-    )
+    directions = tuple(zip(ALONG, ACROSS, strict=True))
+    probes = list[Vector]()
+    for x, y in directions:
+        probes += [(x * d + r * u, y * d + r * v, ROTOR_M) for u, v in directions]
+    return tuple(probes)
 
 
 def _normal(rng: np.random.Generator, n: int) -> Iterator[list[float]]:

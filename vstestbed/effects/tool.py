@@ -91,7 +91,8 @@ class Tool(Effect):
         T = robot.T_body_flange
         spec_ = robot.spec
         body = robot.flange.add_body(name="tool", pos=T[:3, 3], quat=quaternion_wxyz(T[:3, :3]))
-        if (plug := self.plug) is not None:
+        plug = self.plug
+        if plug is not None:
             r = plug.radius
             end = plug.length - plug.radius
             geom = body.add_geom(

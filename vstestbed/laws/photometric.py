@@ -262,7 +262,8 @@ class GoalLevel:
             w = np.zeros(len(e), np.float32)
             among = weights(robust, e[known])
             w[known] = 1 if among is None else among
-        H, b = self._sums(None if which == "desired" else gradient(grey), which, near, e, w)
+        along = None if which == "desired" else gradient(grey)
+        H, b = self._sums(along, which, near, e, w)
         # the Schur complement H_mm - H_ml H_ll^-1 H_lm: the motion that solves it is that of the
         # whole system with light
         if len(b) > 6:
@@ -516,7 +517,8 @@ class Photometric(Law[PhotometricState]):
         near = None
         if self._reads_depth:
             near = _inverse(sight, level, state.level)
-        if why := _unfit(pyramid[0], level, grey, near):
+        why = _unfit(pyramid[0], level, grey, near)
+        if why:
             return state, Command.rest(basis, why)
         robust = self.robust
         if state.level > 0:

@@ -278,7 +278,9 @@ class Excitation:
         elif state.speed and abs(state.x[i] - state.x_before) >= abs(robot.underway[i]):
             speed = 2 * speed  # not before the picture has shown what was ordered
         speed = min(speed, most)
-        state = replace(state, speed=speed, side=side if state.leg == OUT else state.side)
+        state = replace(state, speed=speed)
+        if state.leg == OUT:
+            state = replace(state, side=side)
         rates = np.zeros(len(robot.names))
         if state.leg == BACK:
             # The time constant of this approach, four periods, is one that a servo can follow.

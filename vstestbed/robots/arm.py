@@ -504,34 +504,39 @@ class Arm(Realistic):
         k = self.elastic.stiffest
         for i in np.flatnonzero((k > 0) & (rotors <= 0)).tolist():
             words = (
-                "must be 0 for {joint}, which has no rotor that could move by itself;"
-                " give it an `armature` in its file{or_here}"
+                f"must be 0 for {self.chain.names[i]}, which has no rotor that could move by"
+                " itself; give it an `armature` in its file"
             )
-            raise self._too_stiff(i, float(k[i]), words)
+            if not self._listed_springs:
+                words += ", or its inertia in strain_wave.rotor_kgm2"
+            raise self._too_stiff(float(k[i]), words)
         w, joint = quickest(M, rotors, k)
         step = FINEST / w if w else np.inf
         if step < SHORTEST_STEP_S:
-            most = float(f"{k[joint] * (step / SHORTEST_STEP_S) ** 2:.2g}")
-            needs = (
-                f"it vibrates at {w / 2 / np.pi:.0f} Hz,"
+            softer = ""
+            if self._listed_springs:
+                most = float(f"{k[joint] * (step / SHORTEST_STEP_S) ** 2:.2g}")
+                softer = f" or at most {most:g}"
+            words = (
+                f"must be 0 (rigid){softer} for {self.chain.names[joint]}:"
+                f" it vibrates at {w / 2 / np.pi:.0f} Hz,"
                 f" which needs physics steps of {1e6 * step:.0f} us"
             )
-            words = f"must be 0 (rigid){{or_softer}} for {{joint}}: {needs}"
-            raise self._too_stiff(joint, float(k[joint]), words, most)
+            raise self._too_stiff(float(k[joint]), words)
         return step
 
-    def _too_stiff(self, joint: int, k: float, words: str, most: float = 0.0) -> ParameterError:
-        """The error for a gear, by the field that has its stiffness k [Nm/rad]."""
-        name = self.chain.names[joint]
-        if self.gears is not None and self.gears.stiffness_nmprad:
-            said = words.format(joint=name, or_here="", or_softer=f" or at most {most:g}")
-            if len(self.gears.stiffness_nmprad) == 1:
-                said += "; works: a list, with a value for each joint"
-            return ParameterError("robot.gears.stiffness_nmprad", said, k)
-        said = words.format(
-            joint=name, or_here=", or its inertia in strain_wave.rotor_kgm2", or_softer=""
-        )
-        return ParameterError("robot.strain_wave.sizes", said)
+    @property
+    def _listed_springs(self) -> tuple[float, ...]:
+        """The stiffness of its gears where it is listed; () where the catalogue has it."""
+        return () if self.gears is None else self.gears.stiffness_nmprad
+
+    def _too_stiff(self, k: float, words: str) -> ParameterError:
+        """The error for a gear of stiffness k [Nm/rad], by the field that has it."""
+        if not self._listed_springs:
+            return ParameterError("robot.strain_wave.sizes", words)
+        if len(self._listed_springs) == 1:
+            words += "; works: a list, with a value for each joint"
+        return ParameterError("robot.gears.stiffness_nmprad", words, k)
 
     def instruments(self, rng: np.random.Generator) -> SensorModel:
         """What the encoders read of the rotors' angles q and speeds qd (n,) each."""

@@ -282,9 +282,8 @@ class Omni(Vehicle, Onboard):
                     (scale, "geom", "pos", factor, name),
                     *_larger_rollers(name, factor),
                 ]
-        return BodyFile(
-            "omni.xml" if rolls else "omni_planar.xml", WHEELS, changes=tuple(found), slips=rolls
-        )
+        file = "omni.xml" if rolls else "omni_planar.xml"
+        return BodyFile(file, WHEELS, changes=tuple(found), slips=rolls)
 
     @property
     def ends_m(self) -> tuple[float, float]:

@@ -240,7 +240,9 @@ class InsertionMonitor(TaskMonitor):
         self._goal = goal
         self._socket = setup.target.socket
         self._depth = goal.depth_in(setup.target)
-        names = [name for effect in setup.robot.acting for name in effect.columns]
+        names = list[str]()
+        for effect in setup.robot.acting:
+            names += effect.columns
         self._force = names.index(FORCE_COLUMN)
         assert isinstance(setup.robot, Arm) and setup.robot.tool is not None
         self._tip = np.array([0.0, 0.0, setup.robot.tool.length])  # the true one

@@ -48,7 +48,10 @@ class _Views(Task):
         return getattr(self, self.listed)
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
-        return tuple(pose for view in self._each for pose in view.goal_poses(target, mount))
+        poses = list[Array]()
+        for view in self._each:
+            poses += view.goal_poses(target, mount)
+        return tuple(poses)
 
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
         goals = []
@@ -277,7 +280,7 @@ class GoalViews(_Views):
 
     @property
     def pictures(self) -> tuple[GoalPicture, ...]:
-        return tuple(picture for view in self.views for picture in view.pictures)
+        return tuple(view.picture for view in self.views)
 
     def begin(self, setup: Setup, views: tuple[Goal, ...]) -> Passage:
         return Passage(setup, views)
