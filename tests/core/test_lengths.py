@@ -53,7 +53,6 @@ REASONS = {
         effects/tool.py Plug.length Plug.radius
         effects/wheels.py Tyres.relaxation_m
         laws/qp.py STEP
-        laws/switched.py QUANTITIES
         robots/arm.py LIMIT_MARGIN NEAR_M PositionBox.slide_m
         robots/car.py CarParameters.track_m CarParameters.wheel_radius_m CarParameters.wheelbase_m
         robots/compound.py DECK_M
