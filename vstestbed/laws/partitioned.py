@@ -36,7 +36,7 @@ class Partitioned(ErrorLaw):
     motions by the points.
 
     v_z = -gain_z e_sigma,  w_z = gain_turn e_angle,
-    v_x, v_y = gain_xy Z e_middle                     those of them in `axes`
+    (v_x, v_y) = gain_xy Z e_middle                     those of them in `axes`
     v_rest = pinv(L_rest) (-lambda e - L_axes v_axes)   the others
 
     With `feedforward` the features are those of the markers where they are predicted.
