@@ -7,7 +7,7 @@ never return.
 
     radius: PositiveLength = 0.02
         # of a physical quantity
-    speed_mps: Annotated[PositiveSpeed, Narrower(le=3)] = 1.0
+    speed_mps: Annotated[PositiveSpeed, TighterBounds(le=3)] = 1.0
         # with a tighter bound of this one field
 """
 
@@ -16,7 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from annotated_types import Ge, Gt, Len
+from annotated_types import Ge, Gt, Le, Len
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
@@ -48,9 +48,11 @@ __all__ = [
     "PositivePixels",
     "PositiveRate",
     "PositiveRateDeg",
+    "PositiveShare",
     "PositiveSpeed",
     "PositiveTime",
     "Seed",
+    "Share",
     "Sigma",
     "SignedGain",
     "Speed",
@@ -248,6 +250,8 @@ Pixel = Annotated[tuple[Annotated[float, Bounded(-1e5, 1e5, "px", _WIDE)], ...],
 """A place in a picture (u, v), or the distance of two [px]."""
 
 Coefficient = Annotated[float, Bounded(-1e6, 1e6, "", "more than any calibrated lens has")]
+Share = Annotated[float, Ge(0), Le(1)]  # of a whole: none to all of it [1]
+PositiveShare = Annotated[float, Gt(0), Le(1)]
 GRAVITY = 9.81  # acceleration of free fall [m/s^2]
 Mass = Annotated[float, Gt(0), Bounded(1e-6, 1e6, "kg", "a milligram to a thousand tonnes")]
 Seed = Annotated[int, Ge(0), Bounded(0, 2**63 - 1, "", "what the tables of results hold")]

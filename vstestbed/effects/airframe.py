@@ -14,7 +14,7 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Ge, Le
 
-from vstestbed.core.quantity import PositiveTime, TighterBounds
+from vstestbed.core.quantity import PositiveTime, Share, TighterBounds
 from vstestbed.core.spec import spec
 from vstestbed.effects.base import Actor, Effect, Four, RobotBody, Vector
 from vstestbed.effects.rotors import (
@@ -31,7 +31,6 @@ from vstestbed.effects.rotors import (
 # that comes back. T = b w^2 is a rotor's thrust, R its radius, z its height over what is straight
 # below it.
 AIR = 1.184  # density of the air [kg/m^3] at 25 degrees, as in models/quadrotor.xml
-Share = Annotated[float, Ge(0), Le(1)]
 
 
 @spec
@@ -61,11 +60,9 @@ class GroundEffect:
         [m/s].
         """
         induced = thrust / (2 * AIR * math.pi * radius * radius)
-        return (
-            1.0 / (1.0 - self.strength * nearness / 16.0 * induced / (induced + speed * speed))
-            if induced > 0
-            else 1.0
-        )
+        if induced <= 0:
+            return 1.0
+        return 1.0 / (1.0 - self.strength * nearness / 16.0 * induced / (induced + speed * speed))
 
 
 @spec
@@ -225,8 +222,7 @@ class Airframe:
         self._voltage = 0.0
         if given.battery:
             self._charge = given.battery.charge
-            power = given.battery.power((math.sqrt(craft.hover),) * 4, craft)
-            self._voltage = given.battery.voltage(self._charge, power)
+            self._voltage = given.battery.hovering(craft, self._charge)
         self._drag = 0.0
         if given.rotor_drag:
             drag = given.rotor_drag.coefficient
@@ -317,9 +313,8 @@ class Airframe:
             self._voltage = battery.voltage(self._charge, power)
             self._charge = battery.drained(self._charge, power / self._voltage, dt)
             share = battery.share(self._voltage, self._craft)
-        return _four(
-            [min(most, share * min(u, most * f)) for u, f in zip(orders, self._limit, strict=True)]
-        )
+        limits = zip(orders, self._limit, strict=True)
+        return _four([min(most, share * min(u, most * f)) for u, f in limits])
 
     def _lifted(self, air: Vector, below: Sequence[float], dt: float) -> tuple[Vector, Vector]:
         """Force and torque of what the thrusts are more than those of the model's file."""
@@ -374,11 +369,11 @@ def _probes(craft: _Craft) -> tuple[Vector, ...]:
     """
     d = craft.arm_m
     r = craft.rotor_radius_m / math.sqrt(2)
-    return tuple(
-        (x * d + r * u, y * d + r * v, ROTOR_M)
-        for x, y in zip(ALONG, ACROSS, strict=True)
-        for u, v in zip(ALONG, ACROSS, strict=True)
-    )
+    directions = tuple(zip(ALONG, ACROSS, strict=True))
+    probes = list[Vector]()
+    for x, y in directions:
+        probes += [(x * d + r * u, y * d + r * v, ROTOR_M) for u, v in directions]
+    return tuple(probes)
 
 
 def _normal(rng: np.random.Generator, n: int) -> Iterator[list[float]]:

@@ -4,7 +4,7 @@ what it writes into the log.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
@@ -30,13 +30,16 @@ __all__ = [
     "Further",
     "RobotBody",
     "RobotModel",
+    "Sensors",
     "StateIndices",
     "Vector",
     "places_of",
 ]
 
+Indices = NDArray[np.int_]
 Vector = tuple[float, float, float]
 Four = tuple[float, float, float, float]  # of rotors front, right, back, left
+Sensors = Mapping[str, list[float]]  # readings by name, perfect ones of MuJoCo
 ASSETS = "assets"  # folder, in a scene, of the files in memory
 RANGE_GROUP = 5  # geoms that range finders alone meet, which nothing draws
 # before the name of a joint: that of the joint of its motor, where an effect has parted the two
@@ -50,20 +53,20 @@ class StateIndices:
     Attributes:
         qpos, qvel: of its measured joints, in the order of `Robot.joints`, in `data.qpos` and
             `data.qvel`.
-        ctrl: of its actuators, in the order of `Robot.actuators`, in `data.ctrl`; a slice, which is
-            quicker, where they adjoin.
         motor_qpos, motor_qvel: of what its encoders read and its servos turn: `rotor_<joint>`,
             which an effect has added, else the joint.
+        ctrl: of its actuators, in the order of `Robot.actuators`, in `data.ctrl`; a slice, which is
+            quicker, where they adjoin.
         act: of those actuators that have an activation (an integrating servo, a rotor), in
             `data.act`.
     """
 
-    qpos: NDArray[np.int_]
-    qvel: NDArray[np.int_]
-    motor_qpos: NDArray[np.int_]
-    motor_qvel: NDArray[np.int_]
-    ctrl: NDArray[np.int_] | slice
-    act: NDArray[np.int_]
+    qpos: Indices
+    qvel: Indices
+    motor_qpos: Indices
+    motor_qvel: Indices
+    ctrl: Indices | slice
+    act: Indices
 
     @classmethod
     def of(
@@ -71,37 +74,28 @@ class StateIndices:
     ) -> StateIndices:
         """The indices of the robot under a prefix (`robot/`, `leader/`)."""
         named = {model.joint(i).name for i in range(model.njnt)}
-        motors = [
-            name if (name := f"{prefix}{MOTOR}{joint}") in named else prefix + joint
-            for joint in joints
-        ]
-        qpos, qvel = places_of(model, [prefix + joint for joint in joints])
-        motor_qpos, motor_qvel = places_of(model, motors)
+        links = [prefix + joint for joint in joints]
+        motors = []
+        for joint, link in zip(joints, links, strict=True):
+            motor = f"{prefix}{MOTOR}{joint}"
+            motors.append(motor if motor in named else link)
         numbers = np.array([model.actuator(prefix + name).id for name in actuators], dtype=int)
         activations = model.actuator_actadr[numbers]
         ctrl = model.actuator_ctrladr[numbers]
-        return cls(
-            qpos=qpos,
-            qvel=qvel,
-            motor_qpos=motor_qpos,
-            motor_qvel=motor_qvel,
-            ctrl=slice(int(ctrl[0]), int(ctrl[-1]) + 1)
-            if len(ctrl) and (np.diff(ctrl) == 1).all()
-            else ctrl,
-            act=activations[activations >= 0],  # MuJoCo's -1: an actuator without one
-        )
+        if len(ctrl) and (np.diff(ctrl) == 1).all():
+            ctrl = slice(int(ctrl[0]), int(ctrl[-1]) + 1)
+        act = activations[activations >= 0]  # MuJoCo's -1: an actuator without one
+        return cls(*places_of(model, links), *places_of(model, motors), ctrl, act)
 
 
-def places_of(
-    model: mujoco.MjModel, names: Sequence[str]
-) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
+def places_of(model: mujoco.MjModel, names: Sequence[str]) -> tuple[Indices, Indices]:
     """Where joints of one degree of freedom (n,) are in qpos and in qvel, by their names."""
     # By name, not by number: attached models are renumbered, and a joint's number is not its place
     # in qpos once a free joint, which takes seven places, comes before it.
     found = [model.joint(name) for name in names]
-    return np.array([j.qposadr[0] for j in found], dtype=int), np.array(
-        [j.dofadr[0] for j in found], dtype=int
-    )
+    qpos = [joint.qposadr[0] for joint in found]
+    qvel = [joint.dofadr[0] for joint in found]
+    return np.array(qpos, dtype=int), np.array(qvel, dtype=int)
 
 
 @dataclass
@@ -109,11 +103,12 @@ class RobotModel:
     """A robot while its scene is composed, before it is attached to it.
 
     Attributes:
-        spec: its own model, in which names have no prefix. scene: the scene, with the geom `floor`.
+        spec: its own model, in which names have no prefix.
+        scene: the scene, with the geom `floor`.
         compiled: its file's model compiled without effects, in which all orientations are
             quaternions.
-        joints, actuators: names of those that the robot uses. flange: the body that carries the
-            camera.
+        joints, actuators: names of those that the robot uses.
+        flange: the body that carries the camera.
         T_body_flange: pose of the flange in it (4, 4); an effect may replace it.
         carried: the share of a body's weight that the drives' gravity compensation carries [1].
         assets: files in memory that an effect adds to the scene, by their paths.
@@ -135,12 +130,14 @@ class RobotBody:
     """A robot in the running scene, where all its names have the prefix `robot/`. It is the truth:
     an effect is no part of the controller.
 
-    model, data: MuJoCo's. They are this run's alone, and an actor may change the model while it
-        lasts: `actuator_forcerange` is the largest torque of a drive, which current loops keep as
-        well.
-    at: where its joints and actuators are. step_s: of the physics [s]. joints, actuators: names
-    without the prefix.
-    motor_forces: those of the actors that are `of_motors`; `motor_torque` adds them.
+    Attributes:
+        model, data: MuJoCo's. They are this run's alone, and an actor may change the model while it
+            lasts: `actuator_forcerange` is the largest torque of a drive, which current loops keep
+            as well.
+        at: where its joints and actuators are.
+        step_s: of the physics [s].
+        joints, actuators: names without the prefix.
+        motor_forces: those of the actors that are `of_motors`; `motor_torque` adds them.
     """
 
     model: mujoco.MjModel

@@ -50,9 +50,8 @@ def scale(
     if of and kind in ("body", "actuator"):
         elements = [_named(model, kind, of)]
     else:
-        elements = getattr(
-            _named(model, "body", of) if of else model, {"body": "bodies"}.get(kind, f"{kind}s")
-        )
+        whole = _named(model, "body", of) if of else model
+        elements = getattr(whole, "bodies" if kind == "body" else f"{kind}s")
     for element in elements:
         before = getattr(element, field)
         if isinstance(factor, tuple):

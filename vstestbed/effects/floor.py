@@ -50,7 +50,9 @@ class UnevenFloor(Effect):
 
     def drawn(self, rng: np.random.Generator) -> UnevenFloor:
         """With a seed drawn from `rng`; itself where it is given."""
-        return self if self.seed is not None else replace(self, seed=int(rng.integers(MOST_SEED)))
+        if self.seed is not None:
+            return self
+        return replace(self, seed=int(rng.integers(MOST_SEED)))
 
     def heights(self, half_m: float) -> Array:
         """The heights (n, n) [m] of a square of 2 half_m from edge to edge, rows along y, columns
@@ -64,14 +66,11 @@ class UnevenFloor(Effect):
         # For rfft2 the last axis has the non-negative wave numbers alone.
         along = np.fft.rfftfreq(n, cell) * 2 * np.pi
         across = np.fft.fftfreq(n, cell) * 2 * np.pi
-        of_one = [np.exp(-(k**2) * self.correlation_m**2 / 8) for k in (across, along)]
+        pass_along = np.exp(-(along**2) * self.correlation_m**2 / 8)
+        pass_across = np.exp(-(across**2) * self.correlation_m**2 / 8)
+        size = self.rms_m * np.sqrt(np.pi) * self.correlation_m / cell
         noise = np.fft.rfft2(np.random.default_rng(self.seed or 0).standard_normal((n, n)))
-        filtered = (
-            noise
-            * of_one[0][:, None]
-            * of_one[1]
-            * (self.rms_m * np.sqrt(np.pi) * self.correlation_m / cell)
-        )
+        filtered = noise * pass_across[:, None] * pass_along * size
         return np.asarray(np.fft.irfft2(filtered, (n, n)), dtype=np.float64)
 
     def edit(self, robot: RobotModel) -> None:
@@ -86,9 +85,9 @@ class UnevenFloor(Effect):
         high = float(heights.max())
         n = len(heights)
         scene.meshdir = ASSETS
-        size = [HALF_M, HALF_M, high - low, 0.1]  # the last: thickness under the lowest place [m]
+        extent = [HALF_M, HALF_M, high - low, 0.1]  # the last: thickness under the lowest [m]
         scene.add_hfield(
-            name=RELIEF, file=f"{RELIEF}.bin", content_type="image/vnd.mujoco.hfield", size=size
+            name=RELIEF, file=f"{RELIEF}.bin", content_type="image/vnd.mujoco.hfield", size=extent
         )
         floor = scene.geom("floor")
         # As the plane has them, also where the scenario has its friction.
@@ -112,8 +111,6 @@ class UnevenFloor(Effect):
         floor.contype = floor.conaffinity = 0
         # MuJoCo's binary format: numbers of rows and columns, then the heights, which it stretches
         # to [0, 1].
-        data = (
-            np.array([n, n], dtype=np.int32).tobytes()
-            + ((heights - low) / (high - low)).astype(np.float32).tobytes()
-        )
-        robot.assets[f"{ASSETS}/{RELIEF}.bin"] = data
+        size = np.array([n, n], dtype=np.int32)
+        stretched = ((heights - low) / (high - low)).astype(np.float32)
+        robot.assets[f"{ASSETS}/{RELIEF}.bin"] = size.tobytes() + stretched.tobytes()

@@ -166,11 +166,11 @@ class Encoders:
         p = q + e * np.sin(N * q)
         pd = qd * (1 + e * N * np.cos(N * q))
         counts = each("encoders.counts", self.counts, slides)
-        step = 2 * np.pi / np.where(counts > 0, counts, 1.0)
+        steps = counts > 0
+        step = 2 * np.pi / np.where(steps, counts, 1.0)
         speed_step = step / self.window_s
-        return np.where(counts > 0, step * np.round(p / step), p), np.where(
-            counts > 0, speed_step * np.round(pd / speed_step), pd
-        )
+        counted = np.where(steps, step * np.round(p / step), p)
+        return counted, np.where(steps, speed_step * np.round(pd / speed_step), pd)
 
 
 @spec
@@ -262,7 +262,7 @@ class ElasticJoints(Effect):
         joints: names in the file. stiffness, damping, play: (n,) [Nm/rad, Nm s/rad, rad]; a joint
             of stiffness 0 is rigid.
         stages: (n, m, 2), beyond which torsion the stiffness of a gear grows by how much [rad,
-            Nm/rad]; in the order of the torsion.
+            Nm/rad]; in the order of the torsion; (n, 0, 2) where it does not grow.
         rotors: inertia of the motors' rotors on the joint's side (n,) [kg m^2]; None: as the file
             has it.
         longest_step: computes the longest physics step that resolves the vibrations [s], which
@@ -273,7 +273,7 @@ class ElasticJoints(Effect):
     stiffness: Array
     damping: Array
     play: Array
-    stages: Array | None
+    stages: Array
     rotors: Array | None
     longest_step: Callable[[], float]
 
@@ -292,9 +292,7 @@ class ElasticJoints(Effect):
                 _add_rotor(model, name)
                 play = self.play[i] / 2
                 _add_spring(model, name, "gear_", play, self.stiffness[i], self.damping[i])
-                for j, (torsion, more) in enumerate(
-                    [] if self.stages is None else self.stages[i].tolist(), start=2
-                ):
+                for j, (torsion, more) in enumerate(self.stages[i].tolist(), start=2):
                     _add_spring(model, name, f"gear_{j}_", play + torsion, more)
 
     def settle(self, body: RobotBody, load: Array) -> None:
@@ -316,11 +314,7 @@ class ElasticJoints(Effect):
     @property
     def stiffest(self) -> Array:
         """Stiffness of the gears under a large torque (n,) [Nm/rad]."""
-        return (
-            self.stiffness
-            if self.stages is None
-            else self.stiffness + self.stages[:, :, 1].sum(axis=1)
-        )
+        return self.stiffness + self.stages[:, :, 1].sum(axis=1)
 
     def torsion(self, torque: Array) -> Array:
         """Torsion of the gears (n,) [rad] under a torque (n,) [Nm], beyond their play; 0 where they
@@ -333,7 +327,7 @@ class ElasticJoints(Effect):
         left = np.abs(torque)
         at = np.zeros(len(k))
         torsion = np.zeros(len(k))
-        for stage in () if self.stages is None else self.stages.transpose(1, 2, 0):
+        for stage in self.stages.transpose(1, 2, 0):
             # the torque at which this stage begins, beyond that of the former one
             held = k * (stage[0] - at)
             beyond = (left > held) & (stage[1] > 0)
@@ -415,11 +409,9 @@ class Motors(Effect):
                     actuator.gainprm[0] = 0.0
 
     def actor(self, body: RobotBody, rng: np.random.Generator) -> Actor | None:
-        return (
-            MotorTorques(body, self)
-            if self.loops is not None or self.ripple > 0 or self.cogging.any()
-            else None
-        )
+        if self.loops is not None or self.ripple > 0 or self.cogging.any():
+            return MotorTorques(body, self)
+        return None
 
 
 class MotorTorques(Actor):
@@ -584,16 +576,12 @@ class StrainWave:
                 raise ParameterError.choice("strain_wave.sizes", (0, *CURVES), size)
             curve = CURVES[size]
             first, second = curve.bends
-            k[i], stages[i] = (
-                curve.k1,
-                ((first, curve.k2 - curve.k1), (second, curve.k3 - curve.k2)),
-            )
+            k[i] = curve.k1
+            stages[i] = (first, curve.k2 - curve.k1), (second, curve.k3 - curve.k2)
         return k, stages
 
     def rotors(self, slides: NDArray[np.bool_]) -> Array | None:
         """J (n,) [kg m^2]; None for those of the file."""
-        return (
-            each("strain_wave.rotor_kgm2", self.rotor_kgm2, slides, turns=False)
-            if self.rotor_kgm2
-            else None
-        )
+        if not self.rotor_kgm2:
+            return None
+        return each("strain_wave.rotor_kgm2", self.rotor_kgm2, slides, turns=False)

@@ -63,15 +63,10 @@ class GeometryError(Effect):
         """
         if not self.draws:
             return self
-        xyz, rpy = (
-            np.round(scale * rng.standard_normal((n, 3)), 9).tolist()
-            for scale in (self.sigma_m, self.sigma_deg)
-        )
-        return GeometryError(
-            offsets=tuple(
-                Pose(xyz=tuple(p), rpy_deg=tuple(a)) for p, a in zip(xyz, rpy, strict=True)
-            )
-        )
+        xyz = np.round(self.sigma_m * rng.standard_normal((n, 3)), 9).tolist()
+        rpy_deg = np.round(self.sigma_deg * rng.standard_normal((n, 3)), 9).tolist()
+        drawn = [Pose(xyz=p, rpy_deg=a) for p, a in zip(xyz, rpy_deg, strict=True)]
+        return GeometryError(offsets=tuple(drawn))
 
     def displacements(self, n: int) -> Array | None:
         """D_i (n, 4, 4); None without any. Raises ParameterError: another number of links."""
@@ -97,12 +92,10 @@ class GeometryError(Effect):
             return
         for name, D in zip(robot.joints[1:], displaced[:-1], strict=True):
             body = robot.spec.joint(name).parent
-            if len(body.joints) > 1 or body.frame is not None:
-                where = (
-                    "shares its body with another joint"
-                    if len(body.joints) > 1
-                    else "is inside a <frame>"
-                )
+            where = "is inside a <frame>" if body.frame is not None else ""
+            if len(body.joints) > 1:
+                where = "shares its body with another joint"
+            if where:
                 words = (
                     f"cannot displace {name}, which {where} in the file;"
                     " works: a body for each joint"
@@ -164,22 +157,12 @@ class Payload(Effect):
         a_kilogram = -(J.T @ model.opt.gravity)[body.at.qvel]
         without = weight - self.mass_kg * a_kilogram
         if (np.abs(without) > holds).any():
-            return (
-                "robot.payload.mass_kg",
-                "another start, for it falls without a payload, too",
-                self.mass_kg,
-            )
-        with np.errstate(divide="ignore", invalid="ignore"):
-            each = np.where(
-                a_kilogram == 0,
-                np.inf,
-                (holds - np.sign(a_kilogram) * without) / np.abs(a_kilogram),
-            )
-        most = float(np.nanmin(each))
-        # three digits; rounded up it would be too much
-        unit = 10.0 ** (np.floor(np.log10(most)) - 2)
-        return (
-            "robot.payload.mass_kg",
-            f"at most {np.floor(most / unit) * unit:.3g} kg here",
-            self.mass_kg,
-        )
+            works = "another start, for it falls without a payload, too"
+        else:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                room = (holds - np.sign(a_kilogram) * without) / np.abs(a_kilogram)
+            most = float(np.nanmin(np.where(a_kilogram == 0, np.inf, room)))
+            # three digits; rounded up it would be too much
+            unit = 10.0 ** (np.floor(np.log10(most)) - 2)
+            works = f"at most {np.floor(most / unit) * unit:.3g} kg here"
+        return "robot.payload.mass_kg", works, self.mass_kg

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Protocol
 import numpy as np
 from annotated_types import Ge, Gt, Le, Len
 
-from vstestbed.core.quantity import Sigma
+from vstestbed.core.quantity import Share, Sigma
 from vstestbed.core.spec import spec
 from vstestbed.effects.base import Four, Vector
 
@@ -108,11 +108,9 @@ class MotorSpread:
         """The factors f and l (4,) of a run."""
         # by three standard deviations at most
         off = np.clip(rng.standard_normal((2, 4)), -3.0, 3.0)
-        f = 1.0 + self.thrust_sigma * off[0] if self.thrust is None else np.array(self.thrust)
-        limit = (
-            1.0 - self.limit_sigma * np.abs(off[1]) if self.limit is None else np.array(self.limit)
-        )
-        return _four(f.tolist()), _four(limit.tolist())
+        thrust = self.thrust or (1.0 + self.thrust_sigma * off[0]).tolist()
+        limit = self.limit or (1.0 - self.limit_sigma * np.abs(off[1])).tolist()
+        return _four(thrust), _four(limit)
 
 
 def hover_squares(thrust: Four, craft: _Craft) -> Four:
@@ -168,7 +166,7 @@ class Battery:
 
     cells: Annotated[int, Ge(1), Le(100)] = 4
     capacity_ah: Annotated[float, Gt(0), Le(1e4)] = 5.0
-    charge: Annotated[float, Ge(0), Le(1)] = 1.0
+    charge: Share = 1.0
     resistance_ohm: Annotated[float, Ge(0), Le(10)] = 0.02
     reference_charge: Annotated[float, Ge(0.05), Le(1)] = 0.5
     efficiency: Annotated[float, Ge(0.05), Le(1)] = 0.75
@@ -194,10 +192,12 @@ class Battery:
 
     def power(self, speeds: tuple[float, ...], craft: _Craft) -> float:
         """P [W] of rotors at these speeds [rad/s]."""
-        return (
-            craft.drag_coefficient * sum(w * w * w for w in speeds) / self.efficiency
-            + self.avionics_w
-        )
+        rotors = craft.drag_coefficient * sum(w * w * w for w in speeds)
+        return rotors / self.efficiency + self.avionics_w
+
+    def hovering(self, craft: _Craft, charge: float) -> float:
+        """V [V] at a state of charge, while a craft hovers."""
+        return self.voltage(charge, self.power((math.sqrt(craft.hover),) * 4, craft))
 
     def share(self, voltage: float, craft: _Craft) -> float:
         """(V / V_ref)^2, by which a rotor's ordered w^2 is multiplied [1]."""
@@ -206,17 +206,13 @@ class Battery:
 
     def share_at_start(self, craft: _Craft) -> float:
         """The same as the craft hovers at the start."""
-        return self.share(
-            self.voltage(self.charge, self.power((math.sqrt(craft.hover),) * 4, craft)), craft
-        )
+        return self.share(self.hovering(craft, self.charge), craft)
 
 
 @lru_cache(maxsize=64)
 def reference_voltage(battery: Battery, craft: _Craft) -> float:
     """V_ref [V]: at `reference_charge`, while the craft hovers."""
-    return battery.voltage(
-        battery.reference_charge, battery.power((math.sqrt(craft.hover),) * 4, craft)
-    )
+    return battery.hovering(craft, battery.reference_charge)
 
 
 @spec

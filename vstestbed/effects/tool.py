@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -13,7 +13,7 @@ from annotated_types import Ge, Gt, Le
 from vstestbed.core.geometry import Array, quaternion_wxyz
 from vstestbed.core.quantity import Mass, PositiveLength
 from vstestbed.core.spec import spec
-from vstestbed.effects.base import Actor, Effect, RobotBody, RobotModel
+from vstestbed.effects.base import Actor, Effect, RobotBody, RobotModel, Sensors
 
 # names of the geom and of the sensors in the robot's model
 PLUG = "plug"
@@ -60,7 +60,7 @@ class WristSensor:
     noise_n: Annotated[float, Ge(0), Le(1e3)] = 0.0
     noise_nm: Annotated[float, Ge(0), Le(1e3)] = 0.0
 
-    def read(self, sensors: Mapping[str, list[float]], rng: np.random.Generator) -> Array:
+    def read(self, sensors: Sensors, rng: np.random.Generator) -> Array:
         """The wrench (6,) on the tool, force and moment at the flange's origin in the flange's
         frame [N, Nm].
         """
@@ -91,7 +91,8 @@ class Tool(Effect):
         T = robot.T_body_flange
         spec_ = robot.spec
         body = robot.flange.add_body(name="tool", pos=T[:3, 3], quat=quaternion_wxyz(T[:3, :3]))
-        if (plug := self.plug) is not None:
+        plug = self.plug
+        if plug is not None:
             r = plug.radius
             end = plug.length - plug.radius
             geom = body.add_geom(
@@ -122,13 +123,9 @@ class Tool(Effect):
                     spec_.add_exclude(bodyname1="tool", bodyname2=other.name)
         if self.wrist is not None:
             body.add_site(name="wrist", group=4, size=[0.005] * 3)
-            for name, kind in (
-                (FORCE, mujoco.mjtSensor.mjSENS_FORCE),
-                (TORQUE, mujoco.mjtSensor.mjSENS_TORQUE),
-            ):
-                spec_.add_sensor(
-                    name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="wrist"
-                )
+            at = {"objtype": mujoco.mjtObj.mjOBJ_SITE, "objname": "wrist"}
+            spec_.add_sensor(name=FORCE, type=mujoco.mjtSensor.mjSENS_FORCE, **at)
+            spec_.add_sensor(name=TORQUE, type=mujoco.mjtSensor.mjSENS_TORQUE, **at)
 
     def actor(self, body: RobotBody, rng: np.random.Generator) -> Actor | None:
         return None if self.plug is None else PlugForce(body)

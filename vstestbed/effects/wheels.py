@@ -121,11 +121,9 @@ class Tyres(Effect):
     @property
     def rear(self) -> Tyres:
         """Those of the rear wheels, as a pair of their own."""
-        return (
-            self
-            if self.rear_stiffness is None
-            else replace(self, stiffness=self.rear_stiffness, rear_stiffness=None)
-        )
+        if self.rear_stiffness is None:
+            return self
+        return replace(self, stiffness=self.rear_stiffness, rear_stiffness=None)
 
     def deflected(self, u: Pair, sliding: Pair, speed: float, friction: float, dt: float) -> Pair:
         """The deflection [m] after dt [s]: the exact solution of du/dt for constant velocities,
@@ -155,11 +153,9 @@ class Tyres(Effect):
         x = min(1.0, slip * self.stiffness / (3 * friction))
         spring = most * (1 - (1 - x) ** 3) / slip if slip > 1e-9 else self.stiffness * load
         spring /= self.relaxation_m
-        damper = (
-            self._damper * load * (0.5 + 0.5 * math.cos(math.pi * speed / LOW_SPEED))
-            if speed < LOW_SPEED
-            else 0.0
-        )
+        damper = 0.0
+        if speed < LOW_SPEED:
+            damper = self._damper * load * (0.5 + 0.5 * math.cos(math.pi * speed / LOW_SPEED))
         along = spring * u[0] - damper * sliding[0]
         across = spring * u[1] - damper * sliding[1]
         share = min(1.0, most / max(math.hypot(along, across), 1e-12))
@@ -235,10 +231,10 @@ class TyreForces(Actor):
         py = vy + r * wx
         sliding = (px * x + py * y, py * x - px * y)
         speed = abs(vx * x + vy * y)
-        u = self._deflection[i] = tyre.deflected(
-            self._deflection[i], sliding, speed, self._friction[i], dt
-        )
-        along, across = tyre.force(u, sliding, speed, self._friction[i], load)
+        friction = self._friction[i]
+        u = tyre.deflected(self._deflection[i], sliding, speed, friction, dt)
+        self._deflection[i] = u
+        along, across = tyre.force(u, sliding, speed, friction, load)
         fx = along * x - across * y
         fy = along * y + across * x
         return fx, fy, 0.0, r * fy, -r * fx, 0.0

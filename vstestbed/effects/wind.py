@@ -36,11 +36,9 @@ class Gust:
     def at(self, t: float) -> Array:
         """Its velocity (3,) at a time [s]."""
         share = (t - self.from_s) / self.duration_s
-        return (
-            np.array(self.velocity_mps) * (0.5 - 0.5 * math.cos(2 * math.pi * share))
-            if 0 < share < 1
-            else np.zeros(3)
-        )
+        if not 0 < share < 1:
+            return np.zeros(3)
+        return np.array(self.velocity_mps) * (0.5 - 0.5 * math.cos(2 * math.pi * share))
 
 
 @spec
@@ -92,9 +90,9 @@ class WindField(Actor):
         self._rng = rng
         # Drawn from the stationary distribution: started at 0, turbulence would take some
         # correlation times to reach its size.
-        self._rough = (
-            rng.standard_normal(3) * wind.turbulence_mps if wind.turbulence_mps else np.zeros(3)
-        )
+        self._rough = np.zeros(3)
+        if wind.turbulence_mps:
+            self._rough = rng.standard_normal(3) * wind.turbulence_mps
         self.act(0.0, 0.0)
 
     def act(self, t: float, dt: float) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import Array, homogeneous
 
 MOST_CONDITION = 500.0
 """Condition of L, its largest over its smallest singular value in units of the goal, over which its
@@ -59,10 +59,21 @@ class Feature(ABC):
         """Error e (..., rows): s - s*; of features with angles, these wrapped."""
         return np.subtract(s, s_star, dtype=float)
 
+    def _checked(self, x: Array, distance: Array) -> tuple[Array, Array]:
+        return checked(x, distance, self.inputs, self.least_markers)
 
-def checked(
-    x: Array, distance: Array, inputs: tuple[str, ...], least: int = 1
-) -> tuple[Array, Array]:
+
+def in_one(s: Array) -> Array:
+    """The k numbers of N markers (..., N, k), one marker after the other, (..., N k)."""
+    return s.reshape(*s.shape[:-2], s.shape[-2] * s.shape[-1])
+
+
+def rows_in_one(L: Array) -> Array:
+    """The k rows of N markers (..., N, k, 6), one marker below the other, (..., N k, 6)."""
+    return L.reshape(*L.shape[:-3], L.shape[-3] * L.shape[-2], 6)
+
+
+def checked(x: Array, distance: Array, inputs: tuple[str, ...], least: int) -> tuple[Array, Array]:
     """Both inputs of a feature as floating-point arrays, validated: xy (..., N, 2) or ray (..., N,
     3), and distances (..., N) [m].
 
@@ -91,16 +102,11 @@ def require_plane(xy: Array, depth: Array, kind: str) -> None:
     """Refuse points xy (N, 2) at depths (N,) [m] that do not lie in one plane, for a feature of
     this kind, by a ParameterError.
     """
-    p = np.column_stack([xy, np.ones(len(xy))]) * np.asarray(depth)[:, None]
+    p = homogeneous(xy) * np.asarray(depth)[:, None]
     spread = np.linalg.svd(p - p.mean(axis=0), compute_uv=False)
     if spread[-1] > 0.01 * spread[0]:  # the scatter off the plane against the largest in it
-        raise ParameterError(
-            "target",
-            (
-                f"must have its markers in one plane for the feature {kind};"
-                " use point, or another target"
-            ),
-        )
+        words = f"must have its markers in one plane for the feature {kind};"
+        raise ParameterError("target", f"{words} use point, or another target")
 
 
 def condition(L: Array, scale: Array, depth: Array) -> float:
@@ -110,7 +116,7 @@ def condition(L: Array, scale: Array, depth: Array) -> float:
     Rows are in units of their quantities `scale` (rows,), translations in units of the mean depth.
     Of more than six rows, six count.
     """
-    A = L / np.asarray(scale)[:, None] * np.array([np.mean(depth)] * 3 + [1.0] * 3)
+    A = L / np.asarray(scale)[:, None] * np.repeat([float(np.mean(depth)), 1.0], 3)
     if not np.isfinite(A).all():
         return np.inf
     singular = np.linalg.svd(A, compute_uv=False)
@@ -169,17 +175,13 @@ def bearing_weight(radius: Array, less_at_centre: bool) -> Array:
     With `less_at_centre` it is r/1e-2 up to r = 1e-2: close to the centre any error of position may
     turn a bearing by up to half a turn.
     """
-    radius = np.asarray(radius, dtype=float)
-    return (
-        np.minimum(radius / CENTRE, 1.0)
-        if less_at_centre
-        else np.where(radius > ROUNDING, 1.0, 0.0)
-    )
+    if less_at_centre:
+        return np.minimum(radius / CENTRE, 1.0)
+    return np.where(radius > ROUNDING, 1.0, 0.0)
 
 
 def bounded_inverse(x: Array) -> Array:
     """1/x for x > 1e-3, else x/1e-6: continuous, at most 1e3, zero at zero; x >= 0, any shape."""
-    x = np.asarray(x, dtype=float)
     return np.where(x > FLOOR, 1 / np.maximum(x, FLOOR), x / FLOOR / FLOOR)
 
 

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import Array, homogeneous
 from vstestbed.core.spec import spec
 from vstestbed.features.base import (
     FLOOR,
@@ -16,7 +16,7 @@ from vstestbed.features.base import (
     angle,
     at_least,
     bounded_inverse,
-    checked,
+    in_one,
     square,
     wrap,
     wrap_together,
@@ -61,12 +61,12 @@ class LineFeature(Feature):
         # cos theta = -dy/|d| and sin theta = dx/|d| are known without evaluating a cosine
         length = np.maximum(np.hypot(d[..., 0], d[..., 1]), np.finfo(float).tiny)
         rho = (start[..., 1] * d[..., 0] - start[..., 0] * d[..., 1]) / length
-        return np.stack([rho, theta], axis=-1).reshape(*xy.shape[:-2], 2 * theta.shape[-1])
+        return in_one(np.stack([rho, theta], axis=-1))
 
     def interaction(self, xy: Array, depth: Array) -> Array:
         """L (..., 2 lines, 6) of xy (..., N, 2) and depth (..., N) [m] of the markers."""
-        xy, depth = checked(xy, depth, self.inputs, self.least_markers)
-        points = np.concatenate([xy, np.ones_like(depth)[..., None]], axis=-1) * depth[..., None]
+        xy, depth = self._checked(xy, depth)
+        points = homogeneous(xy) * depth[..., None]
         s = self.measure(xy)
         L = line_interaction(s[..., 0::2], s[..., 1::2], _plane(*_ends(points)))
         return L.reshape(*s.shape, 6)
@@ -99,17 +99,20 @@ def line_interaction(rho: Array, theta: Array, plane: Array) -> Array:
 
     Reference: Espiau, Chaumette & Rives 1992, doi:10.1109/70.143350.
     """
-    rho, theta, plane = (np.asarray(v, dtype=float) for v in (rho, theta, plane))
     if (plane[..., 3] == 0).any():
         raise ParameterError("plane", "must not contain the camera's centre: D must not be 0")
-    cos, sin = np.cos(theta), np.sin(theta)
+    cos = np.cos(theta)
+    sin = np.sin(theta)
     A, B, C = np.moveaxis(plane[..., :3] / plane[..., 3:], -1, 0)
     along = np.stack([cos, sin, -rho], axis=-1)
     L = np.zeros((*rho.shape, 2, 6))
     L[..., 0, :3] = along * (A * rho * cos + B * rho * sin + C)[..., None]
     L[..., 1, :3] = along * (A * sin - B * cos)[..., None]
-    L[..., 0, 3], L[..., 0, 4] = (1 + rho * rho) * sin, -(1 + rho * rho) * cos
-    L[..., 1, 3], L[..., 1, 4], L[..., 1, 5] = -rho * cos, -rho * sin, -1
+    L[..., 0, 3] = (1 + rho * rho) * sin
+    L[..., 0, 4] = -(1 + rho * rho) * cos
+    L[..., 1, 3] = -rho * cos
+    L[..., 1, 4] = -rho * sin
+    L[..., 1, 5] = -1
     return L
 
 
@@ -157,8 +160,7 @@ def floor_point(xy: Array, T_base_camera: Array) -> Array:
     """Intersections (..., 2) of rays with normalised coordinates xy (..., 2) with the floor, in the
     base frame [m]; NaN where they rise.
     """
-    xy = np.asarray(xy, dtype=float)
-    d = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1) @ T_base_camera[:3, :3].T
+    d = homogeneous(xy) @ T_base_camera[:3, :3].T
     t = T_base_camera[:3, 3]
     reach = t[2] / np.where(d[..., 2] < 0, -d[..., 2], np.nan)
     return t[:2] + reach[..., None] * d[..., :2]
@@ -190,20 +192,15 @@ def line_on_floor(
     none = np.zeros_like(theta)
     # not normalised: y, phi and their derivatives are ratios of its components
     N = np.stack([cos, sin, -rho], axis=-1) @ R.T
-    dN = (
-        np.stack(
-            [np.stack([none, none, none - 1], axis=-1), np.stack([-sin, cos, none], axis=-1)],
-            axis=-2,
-        )
-        @ R.T
-    )
+    by_rho = np.stack([none, none, none - 1], axis=-1)
+    by_theta = np.stack([-sin, cos, none], axis=-1)
+    dN = np.stack([by_rho, by_theta], axis=-2) @ R.T
     y = (N @ t - N[..., 0] * ahead) / N[..., 1]
     phi = np.arctan(-N[..., 0] / N[..., 1])
     lever = np.stack([ahead, y, none], axis=-1) - t
     dy = -np.einsum("...ij,...j->...i", dN, lever) / N[..., 1:2]
-    dphi = (N[..., :1] * dN[..., 1] - N[..., 1:2] * dN[..., 0]) / (
-        N[..., :1] ** 2 + N[..., 1:2] ** 2
-    )
+    size2 = N[..., :1] ** 2 + N[..., 1:2] ** 2
+    dphi = (N[..., :1] * dN[..., 1] - N[..., 1:2] * dN[..., 0]) / size2
     return np.stack([y, phi], axis=-1), np.stack([dy, dphi], axis=-2)
 
 
@@ -243,13 +240,12 @@ class Segment(Feature):
             raise ParameterError.count(
                 "xy", "at least two", "markers", xy.shape, why="a segment has two ends"
             )
-        return np.stack(
-            self._rows(xy[..., 0, 0], xy[..., 0, 1], xy[..., 1, 0], xy[..., 1, 1]), axis=-1
-        )
+        rows = self._rows(xy[..., 0, 0], xy[..., 0, 1], xy[..., 1, 0], xy[..., 1, 1])
+        return np.stack(rows, axis=-1)
 
     def interaction(self, xy: Array, depth: Array) -> Array:
         """L (..., 4, 6) of xy (..., N, 2) and depth (..., N) [m]."""
-        xy, depth = checked(xy, depth, self.inputs, self.least_markers)
+        xy, depth = self._checked(xy, depth)
         L = _POINT.interaction(xy[..., :2, :], depth[..., :2])
         ends = [Dual(xy[..., i // 2, i % 2], L[..., i, :]) for i in range(4)]
         return np.stack([row.rate for row in self._rows(*ends)], axis=-2)
@@ -266,8 +262,6 @@ class Segment(Feature):
         yc = 0.5 * (y1 + y2)
         alpha = angle(along, FLOOR)
         length = at_least(square(along), FLOOR**2) ** 0.5
-        return (
-            [xc / length, yc / length, length**-1, alpha]
-            if self.normalised
-            else [xc, yc, length, alpha]
-        )
+        if self.normalised:
+            return [xc / length, yc / length, length**-1, alpha]
+        return [xc, yc, length, alpha]

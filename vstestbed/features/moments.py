@@ -21,7 +21,6 @@ from vstestbed.features.base import (
     Dual,
     Feature,
     angle,
-    checked,
     condition,
     require_plane,
     square,
@@ -50,7 +49,6 @@ def image_moments(xy: Array, of: Of, order: int) -> Array:
     Reference: Steger 1996, "On the calculation of arbitrary moments of polygons", Technische
     Universität München, FGBV-96-05.
     """
-    xy = np.asarray(xy, dtype=float)
     if of == "region":
         t, share = _nodes(order)
         after = np.roll(xy, -1, axis=-2)
@@ -83,17 +81,15 @@ def fitted_plane(xy: Array, depth: Array) -> Array:
 
     Points on one line do not tell the tilt about it, which is then taken as zero.
     """
-    xy = np.asarray(xy, dtype=float)
-    inverse = 1 / np.asarray(depth, dtype=float)
+    inverse = 1 / depth
     middle = xy.mean(axis=-2)
     mean = inverse.mean(axis=-1)
     d = xy - middle[..., None, :]
     scatter = np.swapaxes(d, -1, -2) @ d
-    AB = np.linalg.pinv(scatter, FLAT, hermitian=True) @ (
-        np.swapaxes(d, -1, -2) @ (inverse - mean[..., None])[..., None]
-    )
-    C = mean - np.einsum("...k,...k->...", AB[..., 0], middle)
-    return np.concatenate([AB[..., 0], C[..., None]], axis=-1)
+    along = np.swapaxes(d, -1, -2) @ (inverse - mean[..., None])[..., None]
+    AB = (np.linalg.pinv(scatter, FLAT, hermitian=True) @ along)[..., 0]
+    C = mean - np.einsum("...k,...k->...", AB, middle)
+    return np.concatenate([AB, C[..., None]], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -171,15 +167,11 @@ class MomentSet:
         Reference: Flusser 2000, doi:10.1016/S0031-3203(99)00127-2.
         """
         if ("c", p, q) not in self._known:
-            terms = [
-                comb(p, a)
-                * comb(q, b)
-                * 1j ** (p - a)
-                * (-1j) ** (q - b)
-                * self.central(a + b, p + q - a - b)
-                for a in range(p + 1)
-                for b in range(q + 1)
-            ]
+            terms = []
+            for a in range(p + 1):
+                for b in range(q + 1):
+                    factor = comb(p, a) * comb(q, b) * 1j ** (p - a) * (-1j) ** (q - b)
+                    terms.append(factor * self.central(a + b, p + q - a - b))
             self._known["c", p, q] = sum(terms[1:], start=terms[0])
         return self._known["c", p, q]
 
@@ -200,47 +192,59 @@ class MomentSet:
         value = self.centre[..., axis]
         if self.plane is None:
             return value
-        x, y = self.centre[..., 0], self.centre[..., 1]
-        A, B, C = np.moveaxis(np.broadcast_to(self.plane, (*x.shape, 3)), -1, 0)
+        x, y, A, B, C = self._at_plane()
         n20, n11, n02 = self._normalised()
         inverse = A * x + B * y + C
         rate = np.zeros((*x.shape, 6))
         rate[..., axis] = -inverse
         if axis == 0:
-            rate[..., 2], rate[..., 5] = x * inverse + A * n20 + B * n11, y
-            rate[..., 3], rate[..., 4] = x * y + n11, -(1 + x * x + n20)
+            rate[..., 2] = x * inverse + A * n20 + B * n11
+            rate[..., 3] = x * y + n11
+            rate[..., 4] = -(1 + x * x + n20)
+            rate[..., 5] = y
         else:
-            rate[..., 2], rate[..., 5] = y * inverse + A * n11 + B * n02, -x
-            rate[..., 3], rate[..., 4] = 1 + y * y + n02, -(x * y + n11)
+            rate[..., 2] = y * inverse + A * n11 + B * n02
+            rate[..., 3] = 1 + y * y + n02
+            rate[..., 4] = -(x * y + n11)
+            rate[..., 5] = -x
         return Dual(value, rate)
+
+    def _at_plane(self) -> Array:
+        """The centroid's x and y, and A, B and C of the plane, (5, ...)."""
+        assert self.plane is not None
+        plane = np.broadcast_to(self.plane, (*self.centre.shape[:-1], 3))
+        return np.moveaxis(np.concatenate([self.centre, plane], axis=-1), -1, 0)
 
     def _rate(self, p: int, q: int) -> Array:
         """The rate (..., 6) of mu_pq by the equations above."""
-        assert self.plane is not None
-        mu, d = self._at, int(self.of == "region")
-        x, y = self.centre[..., 0], self.centre[..., 1]
-        A, B, C = np.moveaxis(np.broadcast_to(self.plane, (*x.shape, 3)), -1, 0)
+        mu = self._at
+        d = int(self.of == "region")
+        x, y, A, B, C = self._at_plane()
         n20, n11, n02 = self._normalised()
-        here, over, under = mu(p, q), mu(p - 1, q + 1), mu(p + 1, q - 1)
+        here = mu(p, q)
+        over = mu(p - 1, q + 1)
+        under = mu(p + 1, q - 1)
         wx = (p + q + 3 * d) * mu(p, q + 1) + p * x * over + (p + 2 * q + 3 * d) * y * here
         wx = wx - p * n11 * mu(p - 1, q) - q * n02 * mu(p, q - 1)
         wy = -(p + q + 3 * d) * mu(p + 1, q) - (2 * p + q + 3 * d) * x * here - q * y * under
         wy = wy + p * n20 * mu(p - 1, q) + q * n11 * mu(p, q - 1)
-        vx, vy = -(p + d) * A * here - p * B * over, -q * A * under - (q + d) * B * here
-        return np.stack(
-            [vx, vy, -A * wy + B * wx + (p + q + 2 * d) * C * here, wx, wy, p * over - q * under],
-            axis=-1,
-        )
+        vx = -(p + d) * A * here - p * B * over
+        vy = -q * A * under - (q + d) * B * here
+        vz = -A * wy + B * wx + (p + q + 2 * d) * C * here
+        wz = p * over - q * under
+        return np.stack([vx, vy, vz, wx, wy, wz], axis=-1)
 
 
 def place(m: MomentSet, row: str) -> Any:
     """The row xg, yg, area, an = 1/sqrt(area), xn = xg an or yn = yg an, as an array (...) or as a
     Dual.
     """
-    plain = {"g": 1.0, "n": m.area**-0.5}
-    if row in ("area", "an"):
-        return m.area if row == "area" else plain["n"]
-    return m.coordinate("xy".index(row[0])) * plain[row[1]]
+    if row == "area":
+        return m.area
+    an = m.area**-0.5
+    if row == "an":
+        return an
+    return m.coordinate("xy".index(row[0])) * (an if row[1] == "n" else 1.0)
 
 
 # Functions of a shape's moments that do not change with its place, size and rotation in the image.
@@ -254,7 +258,8 @@ def _second_order(m: MomentSet) -> dict[str, Any]:
     """With complex moments: c1 = (|c20|^2 - c11^2) / (4 |c20|^2) = (mu11^2 - mu20 mu02) / |c20|^2,
     px = |c20|^2 / c11^2.
     """
-    c20, c11 = square(m.complex(2, 0)), square(m.complex(1, 1))
+    c20 = square(m.complex(2, 0))
+    c11 = square(m.complex(1, 1))
     return {"c1": over(0.25 * (c20 - c11), c20), "px": over(c20, c11)}
 
 
@@ -273,8 +278,11 @@ def _third_order(m: MomentSet) -> dict[str, Any]:
     c3 = (a^2 - 6 a b - 3 b^2 + 8 Re z) / D,  c4 = 16 Im z / D,
     c5 = (b - a) (a - 9 b) / D,               c6 = (a - 9 b)^2 / D.
     """
-    c30, c21 = m.complex(3, 0), m.complex(2, 1)
-    a, b, z = square(c30), square(c21), c30 * (c21 * c21 * c21).conj()
+    c30 = m.complex(3, 0)
+    c21 = m.complex(2, 1)
+    a = square(c30)
+    b = square(c21)
+    z = c30 * (c21 * c21 * c21).conj()
     above = {
         "c3": a * a - 6 * a * b - 3 * b * b + 8 * z.real,
         "c4": 16 * z.imag,
@@ -433,7 +441,7 @@ class Moments(Feature):
 
     def interaction(self, xy: Array, depth: Array) -> Array:
         """L (..., rows, 6) of xy (..., N, 2) and depth (..., N) [m]."""
-        xy, depth = checked(xy, depth, self.inputs, self.least_markers)
+        xy, depth = self._checked(xy, depth)
         m = MomentSet.measured(xy, self.of, self._order + 1).in_plane(fitted_plane(xy, depth))
         return np.stack([self._row(m, row).rate for row in self.rows], axis=-2)
 
@@ -450,7 +458,8 @@ class Moments(Feature):
             half = wrap(2 * e[..., i]) / 2
             # Where both vectors t are long enough, half a turn more if that is nearer to the angle
             # between them.
-            z, z_star = s[..., n] + 1j * s[..., n + 1], s_star[..., n] + 1j * s_star[..., n + 1]
+            z = s[..., n] + 1j * s[..., n + 1]
+            z_star = s_star[..., n] + 1j * s_star[..., n + 1]
             whole = wrap(half + np.pi * np.round((np.angle(z * np.conj(z_star)) - half) / np.pi))
             e[..., i] = np.where(np.minimum(np.abs(z), np.abs(z_star)) > DIRECTED, whole, half)
         return e
@@ -471,12 +480,9 @@ class Moments(Feature):
             raise ParameterError("law.feature.rows", words)
         found = self._condition(m, xy, depth)
         if found > MOST_CONDITION:
-            # A larger condition than 1e12 is what rounding has made of a singular L.
-            limit = (
-                f"the condition {found:.2g} (at most {MOST_CONDITION:g} is accepted)"
-                if found < 1e12
-                else "no inverse"
-            )
+            limit = f"the condition {found:.2g} (at most {MOST_CONDITION:g} is accepted)"
+            if found >= 1e12:  # what rounding has made of a singular L
+                limit = "no inverse"
             why = (
                 f"they depend on one another in the goal view, where L has {limit};"
                 f" {self._advice(m, xy, depth)}"
@@ -484,16 +490,8 @@ class Moments(Feature):
             raise ParameterError.excluded("law.feature.rows", ", ".join(self.rows), why=why)
 
     def _condition(self, m: MomentSet, xy: Array, depth: Array) -> float:
-        scale = np.abs(
-            [
-                place(m, row)
-                if row in ("an", "area")
-                else place(m, "an")
-                if row in ("xn", "yn")
-                else 1.0
-                for row in self.rows
-            ]
-        )
+        units = {"area": m.area, **dict.fromkeys(("xn", "yn", "an"), place(m, "an"))}
+        scale = np.abs([units.get(row, 1.0) for row in self.rows])
         return condition(self.interaction(xy, depth), scale, depth)
 
     def _advice(self, m: MomentSet, xy: Array, depth: Array) -> str:
@@ -501,12 +499,11 @@ class Moments(Feature):
         be an ellipse.
         """
         before = [row for row in self.rows if row in INVARIANTS]
+        kept = tuple(row for row in self.rows if row not in INVARIANTS)
         best = MOST_CONDITION
         pair = ()
         for names in combinations(INVARIANTS, 2) if before else ():
-            other = replace(
-                self, rows=tuple(row for row in self.rows if row not in INVARIANTS) + names
-            )
+            other = replace(self, rows=kept + names)
             if other._symmetry(m):
                 continue
             found = other._condition(m, xy, depth)
@@ -527,22 +524,18 @@ class Moments(Feature):
         c11 = m.complex(1, 1).real
         axial = self._named("alpha", "sx", "sy", "c1")
         if axial and np.abs(m.complex(2, 0)) < ROUND * c11:
-            words = (
+            return (
                 f"may not have {axial}: the target is as wide as long in the goal view"
-                " (a disc, a square, a regular polygon)"
+                " (a disc, a square, a regular polygon), and has no principal axis;"
+                " leave them out, or use an elongated target"
             )
-            return f"{words}, and has no principal axis; leave them out, or use an elongated target"
         odd = self._named("py", "c2", "c3", "c4", "c5", "c6", "c9", "c10")
-        if (
-            odd
-            and max(abs(m.complex(3, 0)), abs(m.complex(2, 1)))
-            < SYMMETRIC * c11**1.5 / m.central(0, 0) ** 0.5
-        ):
-            words = (
+        skew = max(abs(m.complex(3, 0)), abs(m.complex(2, 1)))
+        if odd and skew < SYMMETRIC * c11**1.5 / m.central(0, 0) ** 0.5:
+            return (
                 f"may not have {odd}: the target is symmetric about its centre in the goal view,"
-                " where moments of odd order vanish"
+                " where moments of odd order vanish; use sx and sy"
             )
-            return f"{words}; use sx and sy"
         return ""
 
     @property
@@ -617,7 +610,7 @@ class Ellipse(Feature):
 
     def interaction(self, xy: Array, depth: Array) -> Array:
         """L (..., rows, 6) of points xy (..., N, 2) on the outline and their depth (..., N) [m]."""
-        xy, depth = checked(xy, depth, self.inputs, self.least_markers)
+        xy, depth = self._checked(xy, depth)
         m = ellipse_moments(fitted_ellipse(xy)).in_plane(fitted_plane(xy, depth))
         return np.stack([_row(m, row).rate for row in self.rows], axis=-2)
 
@@ -627,36 +620,35 @@ class Ellipse(Feature):
         """
         require_plane(xy, depth, self.kind)
         s = fitted_ellipse(xy)
-        d = xy - s[:2]
-        n = np.array([[s[2], s[3]], [s[3], s[4]]])
-        # Distances of the markers from the centre, by that of the ellipse in their direction, are 1
-        # on the outline.
-        if not (
-            np.isfinite(s).all()
-            and np.abs(np.sqrt(np.einsum("ni,ij,nj->n", d, np.linalg.inv(4 * n), d)) - 1).max()
-            < OFF
-        ):
+        if not _on_outline(xy, s):
             words = (
                 "must have its markers on the outline of an ellipse for the feature ellipse"
                 " (a disc, or a ball); use moments or point"
             )
             raise ParameterError("target", words)
-        m = ellipse_moments(s)
-        scale = np.array(
-            [
-                s[2] + s[4] if row[0] == "n" else place(m, "an") if row[1] == "n" else 1.0
-                for row in self.rows
-            ]
-        )
+        units = {
+            **dict.fromkeys(("n20", "n11", "n02"), s[2] + s[4]),
+            **dict.fromkeys(("xn", "yn", "an"), place(ellipse_moments(s), "an")),
+        }
+        scale = np.array([units.get(row, 1.0) for row in self.rows])
         if condition(self.interaction(xy, depth), scale, depth) > MOST_CONDITION:
             words = (
                 f"may not be {', '.join(self.rows)} at this goal, where they depend on one another:"
-                " a ball, and a disc seen face on"
+                " a ball, and a disc seen face on, tell three motions;"
+                " use [xn, yn, an], or a goal at a slant to a disc"
             )
-            raise ParameterError(
-                "law.feature.rows",
-                f"{words}, tell three motions; use [xn, yn, an], or a goal at a slant to a disc",
-            )
+            raise ParameterError("law.feature.rows", words)
+
+
+def _on_outline(xy: Array, s: Array) -> bool:
+    """Whether points xy (N, 2) are on an ellipse s (5,), within OFF of its half axes."""
+    if not np.isfinite(s).all():
+        return False
+    d = xy - s[:2]
+    n = np.array([[s[2], s[3]], [s[3], s[4]]])
+    # distance from the centre, by that of the ellipse in this direction
+    reach = np.sqrt(np.einsum("ni,ij,nj->n", d, np.linalg.inv(4 * n), d))
+    return np.abs(reach - 1).max() < OFF
 
 
 def _row(m: MomentSet, row: str) -> Any:
@@ -667,16 +659,13 @@ def ellipse_moments(s: Array) -> MomentSet:
     """The moments of the region in an ellipse s = (xg, yg, n20, n11, n02) (..., 5), up to third
     order.
     """
-    s = np.asarray(s, dtype=float)
     n20, n11, n02 = np.moveaxis(s[..., 2:], -1, 0)
     area = 4 * np.pi * np.sqrt(n20 * n02 - n11 * n11)
     mu = np.zeros((*s.shape[:-1], 4, 4))
-    mu[..., 0, 0], mu[..., 2, 0], mu[..., 1, 1], mu[..., 0, 2] = (
-        area,
-        n20 * area,
-        n11 * area,
-        n02 * area,
-    )
+    mu[..., 0, 0] = area
+    mu[..., 2, 0] = n20 * area
+    mu[..., 1, 1] = n11 * area
+    mu[..., 0, 2] = n02 * area
     return MomentSet(mu, s[..., :2], "region")
 
 
@@ -687,21 +676,18 @@ def fitted_ellipse(xy: Array) -> Array:
     About the points' mean, in units of their distance from it: the least squares of
     x^2 + y^2 + a (x^2 - y^2) + 2 b x y + c x + d y + e = 0, an equation that any ellipse has.
     """
-    xy = np.asarray(xy, dtype=float)
     middle = xy.mean(axis=-2)
     about = xy - middle[..., None, :]
     unit = np.maximum(np.sqrt(np.square(about).sum(axis=-1).mean(axis=-1)), np.finfo(float).tiny)
     x, y = np.moveaxis(about / unit[..., None, None], -1, 0)
     design = np.stack([x * x - y * y, 2 * x * y, x, y, np.ones_like(x)], axis=-1)
-    a, b, c, d, e = np.moveaxis(
-        (np.linalg.pinv(design) @ -(x * x + y * y)[..., None])[..., 0], -1, 0
-    )
+    found = np.linalg.pinv(design) @ -(x * x + y * y)[..., None]
+    a, b, c, d, e = np.moveaxis(found[..., 0], -1, 0)
     det = 1 - a * a - b * b  # of the quadratic form [[1 + a, b], [b, 1 - a]]
     det = np.where(det > 0, det, np.nan)
-    xc, yc = -0.5 * ((1 - a) * c - b * d) / det, -0.5 * ((1 + a) * d - b * c) / det
+    xc = -0.5 * ((1 - a) * c - b * d) / det
+    yc = -0.5 * ((1 + a) * d - b * c) / det
     level = -(e + 0.5 * (c * xc + d * yc))  # the quadratic form at the ellipse, about its centre
-    n = (
-        np.stack([1 - a, -b, 1 + a], axis=-1)
-        * (0.25 * np.where(level > 0, level, np.nan) / det * unit**2)[..., None]
-    )
+    level = np.where(level > 0, level, np.nan)
+    n = np.stack([1 - a, -b, 1 + a], axis=-1) * (0.25 * level / det * unit**2)[..., None]
     return np.concatenate([middle + np.stack([xc, yc], axis=-1) * unit[..., None], n], axis=-1)

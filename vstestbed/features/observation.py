@@ -38,10 +38,11 @@ class EgoMotion:
     """The camera's own motion, as measured by the robot (joints) and as commanded.
 
     Attributes:
-        twist: mean twist (6,) since the last picture, and since_s for how long that was [s]; 0 at
-            the first. commanded: the last one (6,).
-        moved: displacement (6,) from the exposure until now [m, rad]; age_s: how long ago the
-            exposure was [s].
+        twist: mean twist (6,) since the last picture.
+        since_s: for how long that was [s]; 0 at the first.
+        moved: displacement (6,) from the exposure until now [m, rad].
+        age_s: how long ago the exposure was [s].
+        commanded: the last commanded twist (6,).
     """
 
     twist: Array
@@ -57,7 +58,8 @@ class Observation:
     truth.
 
     Attributes:
-        t: time of exposure [s]. uv: measured marker pixels (N, 2), NaN where a marker is not seen.
+        t: time of exposure [s].
+        uv: measured marker pixels (N, 2), NaN where a marker is not seen.
         xy: the same, normalised and undistorted (N, 2); NaN also where a wide lens sees a marker
             beside or behind it.
         depth: Z of each marker as the scenario says it is found (N,) [m], NaN where unknown.
@@ -70,9 +72,10 @@ class Observation:
             -1 in an empty row; None: row i is always marker i.
 
     Only for laws that ask for it:
-        ray, range: unit rays (N, 3) to the markers and distances (N,) [m] along them. relative:
-            this view against the goal's.
-        motion: the camera's own motion. image: the whole picture.
+        ray, range: unit rays (N, 3) to the markers and distances (N,) [m] along them.
+        relative: this view against the goal's.
+        motion: the camera's own motion.
+        image: the whole picture.
         radius_px: apparent radius of each marker (N,) [px], from the target's model and its depth.
         proprioception: what the robot's own sensors tell of its state (k,) at the exposure
             (`Robot.proprioception`).
@@ -123,10 +126,14 @@ class Observation:
             return np.ones(len(self.uv), dtype=bool)
         return np.asarray((self.ids == before.ids) & (self.ids >= 0))
 
+    def _columns(self, *more: str) -> dict[str, Array]:
+        """Its fields with a row for each marker, as far as it has them."""
+        columns = {name: getattr(self, name) for name in (*COLUMNS, "xy", "radius_px", *more)}
+        return {name: a for name, a in columns.items() if a is not None}
+
     def of_rows(self, rows: NDArray[np.bool_] | slice) -> Observation:
         """The same of its markers `rows` (N,) alone."""
-        columns = {name: getattr(self, name) for name in (*COLUMNS, "xy", "radius_px", "ids")}
-        return replace(self, **{name: a[rows] for name, a in columns.items() if a is not None})
+        return replace(self, **{name: a[rows] for name, a in self._columns("ids").items()})
 
     def only(self, counted: NDArray[np.bool_] | None) -> Observation:
         """The same without the markers that do not count, (N,) bool;
@@ -134,13 +141,12 @@ class Observation:
         """
         if counted is None:
             return self
-        columns = {name: getattr(self, name) for name in (*COLUMNS, "xy", "radius_px")}
-        kept = {
-            name: np.where(counted if a.ndim == 1 else counted[:, None], a, np.nan)
-            for name, a in columns.items()
-            if a is not None
-        }
-        return replace(self, **kept)
+        return replace(self, **{name: _only(a, counted) for name, a in self._columns().items()})
+
+
+def _only(a: Array, kept: NDArray[np.bool_]) -> Array:
+    """An array of rows (N,) or (N, k) with NaN in those that are not kept (N,)."""
+    return np.where(kept if a.ndim == 1 else kept[:, None], a, np.nan)
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,8 +154,8 @@ class CameraView:
     """The last observation of a further camera.
 
     Attributes:
-        seen: the observation, in its own frame. goal: the goal as it sees it; None of one that does
-            not move with the law's camera.
+        seen: the observation, in its own frame.
+        goal: the goal as it sees it; None of one that does not move with the law's camera.
         T_camera_this: its pose (4, 4) in the frame of the law's camera, as the robot knows it at
             this frame.
         rigid: both move as one: its twist is Ad(inverse(T_camera_this)) v, with v the twist of the
@@ -168,17 +174,17 @@ class Goal:
     are not defined by a view.
 
     Attributes:
-        uv: markers in the picture (N, 2) [px]; `xy` (N, 2) the same, normalised. depth (N,), range
-            (N,) [m], ray (N, 3).
-        T_camera_target: pose at the goal (4, 4). camera: the calibrated lens, with its mount
-            `T_base_camera`.
-        middle: mean of the markers in the camera's frame (3,) [m]. normal: unit normal (3,) of the
-            plane that fits them best, away from the camera.
-        place: (x, y, heading) where a vehicle is to stand [m, m, rad]. gap_m: distance to keep from
-            the target [m].
+        uv: markers in the picture (N, 2) [px]; `xy` (N, 2) the same, normalised.
+        depth, range, ray: of the markers (N,) [m], (N,) [m], (N, 3).
+        T_camera_target: pose at the goal (4, 4).
+        camera: the calibrated lens, with its mount `T_base_camera`.
+        middle: mean of the markers in the camera's frame (3,) [m].
+        normal: unit normal (3,) of the plane that fits the markers best, away from the camera.
+        place: (x, y, heading) where a vehicle is to stand [m, m, rad].
+        gap_m: distance to keep from the target [m].
         twist: of the camera of a view that moves (6,) [m/s, rad/s], in its own frame.
-        counted: which markers count, (N,) bool; None: all. view: number of the view, among several
-            in turn.
+        counted: which markers count, (N,) bool; None: all.
+        view: number of the view, among several in turn.
         moves: the view is on its way to that one, and reaching it ends nothing.
         image: the picture taken there, for laws and detectors that work with it.
     """
@@ -230,18 +236,9 @@ class Goal:
         """The same goal with its arrays read-only: a scenario keeps its goals, and who wrote to one
         would change every later run.
         """
-        for array in (
-            self.uv,
-            self.depth,
-            self.ray,
-            self.range,
-            self.T_camera_target,
-            self.place,
-            self.twist,
-            self.counted,
-        ):
-            if array is not None:
-                array.setflags(write=False)
+        for value in vars(self).values():
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
         return self
 
     @property
@@ -282,10 +279,7 @@ class Goal:
         which does not count.
         """
         there = index >= 0
-        taken = {
-            name: np.where(there if a.ndim == 1 else there[:, None], a[index], np.nan)
-            for name, a in self._of_points.items()
-        }
+        taken = {name: _only(a[index], there) for name, a in self._of_points.items()}
         return replace(self, **taken, counted=there)
 
     def of(self, points: Goal) -> Goal:

@@ -9,7 +9,14 @@ import numpy as np
 from vstestbed.core.geometry import Array, joined
 from vstestbed.core.quantity import PositiveLength
 from vstestbed.core.spec import spec
-from vstestbed.features.base import Feature, bearing_weight, checked, wrap, wrap_together
+from vstestbed.features.base import (
+    Feature,
+    bearing_weight,
+    in_one,
+    rows_in_one,
+    wrap,
+    wrap_together,
+)
 
 
 @spec
@@ -27,24 +34,27 @@ class Point(Feature):
 
     def measure(self, xy: Array) -> Array:
         """The vector s (..., 2N) of xy (..., N, 2)."""
-        xy = np.asarray(xy, dtype=float)
-        return xy.reshape(*xy.shape[:-2], 2 * xy.shape[-2])
+        return in_one(np.asarray(xy, dtype=float))
 
     def interaction(self, xy: Array, depth: Array) -> Array:
         """L (..., 2N, 6) of xy (..., N, 2) and depth (..., N) [m]."""
-        xy, depth = checked(xy, depth, self.inputs)
+        xy, depth = self._checked(xy, depth)
         x = xy[..., 0]
         y = xy[..., 1]
         inv_z = 1.0 / depth
         across = x * y
         ones = 1 + xy * xy
         L = np.zeros((*xy.shape, 6))
-        L[..., 0, 0] = L[..., 1, 1] = -inv_z
+        L[..., 0, 0] = -inv_z
+        L[..., 1, 1] = -inv_z
         L[..., 2] = xy * inv_z[..., None]
-        L[..., 0, 3], L[..., 1, 3] = across, ones[..., 1]
-        L[..., 0, 4], L[..., 1, 4] = -ones[..., 0], -across
-        L[..., 0, 5], L[..., 1, 5] = y, -x
-        return L.reshape(*xy.shape[:-2], 2 * xy.shape[-2], 6)
+        L[..., 0, 3] = across
+        L[..., 1, 3] = ones[..., 1]
+        L[..., 0, 4] = -ones[..., 0]
+        L[..., 1, 4] = -across
+        L[..., 0, 5] = y
+        L[..., 1, 5] = -x
+        return rows_in_one(L)
 
 
 _POINT = Point()
@@ -79,22 +89,25 @@ class StereoPoint(Feature):
 
     def measure(self, xyw: Array) -> Array:
         """The vector s (..., 3N) of xyw (..., N, 3)."""
-        xyw = np.asarray(xyw, dtype=float)
-        x, y, d = xyw[..., 0], xyw[..., 1], self.baseline_m * xyw[..., 2]
+        x, y, w = np.moveaxis(np.asarray(xyw, dtype=float), -1, 0)
+        d = self.baseline_m * w
         rows = (x, y, d) if self.form == "disparity" else (x, x - d, y)
-        return np.stack(rows, axis=-1).reshape(*xyw.shape[:-2], 3 * xyw.shape[-2])
+        return in_one(np.stack(rows, axis=-1))
 
     def interaction(self, xyw: Array, depth: Array) -> Array:
         """L (..., 3N, 6) of xyw (..., N, 3) and depth (..., N) [m]."""
-        xyw = np.asarray(xyw, dtype=float)
-        xy = xyw[..., :2]
-        of_xy = _POINT.interaction(xy, depth).reshape(*xy.shape, 6)
-        x, y, w = xy[..., 0], xy[..., 1], 1 / np.asarray(depth, dtype=float)
-        of_d = np.zeros((*x.shape, 6))
-        of_d[..., 2], of_d[..., 3], of_d[..., 4] = w * w, w * y, -w * x
-        of_x, of_y, of_d = of_xy[..., 0, :], of_xy[..., 1, :], self.baseline_m * of_d
+        x, y, _ = np.moveaxis(np.asarray(xyw, dtype=float), -1, 0)
+        w = 1 / np.asarray(depth, dtype=float)
+        of_xy = _POINT.interaction(np.stack([x, y], axis=-1), depth)
+        of_x = of_xy[..., 0::2, :]
+        of_y = of_xy[..., 1::2, :]
+        of_w = np.zeros((*x.shape, 6))
+        of_w[..., 2] = w * w
+        of_w[..., 3] = w * y
+        of_w[..., 4] = -w * x
+        of_d = self.baseline_m * of_w
         rows = (of_x, of_y, of_d) if self.form == "disparity" else (of_x, of_x - of_d, of_y)
-        return np.stack(rows, axis=-2).reshape(*xyw.shape[:-2], 3 * xyw.shape[-2], 6)
+        return rows_in_one(np.stack(rows, axis=-2))
 
 
 @spec
@@ -121,16 +134,16 @@ class Bearings(Feature):
         s = np.asarray(s, dtype=float)
         s_star = np.asarray(s_star, dtype=float)
         e = s - s_star
-        w, w_star = (
-            bearing_weight(self._off_axis(x), self.centre_weight)
-            for x in (s[..., 0::2], s_star[..., 0::2])
-        )
+        weight = self._weight(s[..., 0::2]) * self._weight(s_star[..., 0::2])
+        turn = e[..., 1::2]
         # near a half turn the markers of full weight in both views decide the sign
-        weight = w * w_star
-        e[..., 1::2] = weight * (
-            wrap_together(e[..., 1::2], weight >= 1) if self.together else wrap(e[..., 1::2])
-        )
+        turn = wrap_together(turn, weight >= 1) if self.together else wrap(turn)
+        e[..., 1::2] = weight * turn
         return e
+
+    def _weight(self, first: Array) -> Array:
+        """The weight of each bearing, by the first row of each point (...)."""
+        return bearing_weight(self._off_axis(first), self.centre_weight)
 
     def _off_axis(self, first: Array) -> Array:
         """The radius at which a bearing is, or the sine of its colatitude, from the first row of
@@ -159,25 +172,30 @@ class Polar(Bearings):
     def measure(self, xy: Array) -> Array:
         """The vector s (..., 2N) [1, rad] of xy (..., N, 2)."""
         xy = np.asarray(xy, dtype=float)
-        s = joined(np.hypot(xy[..., 0], xy[..., 1]), np.arctan2(xy[..., 1], xy[..., 0]))
-        return s.reshape(*xy.shape[:-2], 2 * xy.shape[-2])
+        r = np.hypot(xy[..., 0], xy[..., 1])
+        return in_one(joined(r, np.arctan2(xy[..., 1], xy[..., 0])))
 
     def interaction(self, xy: Array, depth: Array) -> Array:
         """L (..., 2N, 6) of xy (..., N, 2) and depth (..., N) [m]."""
-        xy, depth = checked(xy, depth, self.inputs)
-        s = self.measure(xy).reshape(xy.shape)
-        r = s[..., 0]
-        cos = np.cos(s[..., 1])
-        sin = np.sin(s[..., 1])
+        xy, depth = self._checked(xy, depth)
+        r, phi = np.moveaxis(self.measure(xy).reshape(xy.shape), -1, 0)
+        cos = np.cos(phi)
+        sin = np.sin(phi)
         inv_z = 1 / depth
-        weight = bearing_weight(r, self.centre_weight) ** 2
+        weight = self._weight(r) ** 2
         inv_r = weight / np.where(r > 0, r, 1)  # at r = 0 the weight is 0, and so is the row
         L = np.zeros((*xy.shape, 6))
-        L[..., 0, 0], L[..., 0, 1], L[..., 0, 2] = -cos * inv_z, -sin * inv_z, r * inv_z
-        L[..., 0, 3], L[..., 0, 4] = (1 + r * r) * sin, -(1 + r * r) * cos
-        L[..., 1, 0], L[..., 1, 1] = sin * inv_r * inv_z, -cos * inv_r * inv_z
-        L[..., 1, 3], L[..., 1, 4], L[..., 1, 5] = cos * inv_r, sin * inv_r, -weight
-        return L.reshape(*xy.shape[:-2], 2 * xy.shape[-2], 6)
+        L[..., 0, 0] = -cos * inv_z
+        L[..., 0, 1] = -sin * inv_z
+        L[..., 0, 2] = r * inv_z
+        L[..., 0, 3] = (1 + r * r) * sin
+        L[..., 0, 4] = -(1 + r * r) * cos
+        L[..., 1, 0] = sin * inv_r * inv_z
+        L[..., 1, 1] = -cos * inv_r * inv_z
+        L[..., 1, 3] = cos * inv_r
+        L[..., 1, 4] = sin * inv_r
+        L[..., 1, 5] = -weight
+        return rows_in_one(L)
 
 
 @spec
@@ -200,38 +218,33 @@ class Spherical(Bearings):
 
     def measure(self, ray: Array) -> Array:
         """The vector s (..., 2N) [rad] of rays (..., N, 3), of any length."""
-        ray = np.asarray(ray, dtype=float)
-        X, Y, Z = ray[..., 0], ray[..., 1], ray[..., 2]
-        s = joined(np.arctan2(np.hypot(X, Y), Z), np.arctan2(Y, X))
-        return s.reshape(*ray.shape[:-2], 2 * ray.shape[-2])
+        X, Y, Z = np.moveaxis(np.asarray(ray, dtype=float), -1, 0)
+        return in_one(joined(np.arctan2(np.hypot(X, Y), Z), np.arctan2(Y, X)))
 
     def interaction(self, ray: Array, range_: Array) -> Array:
         """L (..., 2N, 6) of rays (..., N, 3) and the distance of each point from the camera's
         centre (..., N) [m].
         """
-        ray, range_ = checked(ray, range_, self.inputs)
+        ray, range_ = self._checked(ray, range_)
         s = self.measure(ray).reshape(*ray.shape[:-1], 2)
-        cosines = np.cos(s)
-        sines = np.sin(s)
-        cos_t, cos, sin_t, sin = cosines[..., 0], cosines[..., 1], sines[..., 0], sines[..., 1]
+        cos_t, cos = np.moveaxis(np.cos(s), -1, 0)
+        sin_t, sin = np.moveaxis(np.sin(s), -1, 0)
         inv_r = 1 / range_
         weight = bearing_weight(sin_t, self.centre_weight) ** 2
         # on the axis the weight is 0, and so is the row
         inv_sin = weight / np.where(sin_t > 0, sin_t, 1)
         L = np.zeros((*s.shape, 6))
-        L[..., 0, 0], L[..., 0, 1], L[..., 0, 2] = (
-            -cos_t * cos * inv_r,
-            -cos_t * sin * inv_r,
-            sin_t * inv_r,
-        )
-        L[..., 0, 3], L[..., 0, 4] = sin, -cos
-        L[..., 1, 0], L[..., 1, 1] = sin * inv_sin * inv_r, -cos * inv_sin * inv_r
-        L[..., 1, 3], L[..., 1, 4], L[..., 1, 5] = (
-            cos * cos_t * inv_sin,
-            sin * cos_t * inv_sin,
-            -weight,
-        )
-        return L.reshape(*ray.shape[:-2], 2 * ray.shape[-2], 6)
+        L[..., 0, 0] = -cos_t * cos * inv_r
+        L[..., 0, 1] = -cos_t * sin * inv_r
+        L[..., 0, 2] = sin_t * inv_r
+        L[..., 0, 3] = sin
+        L[..., 0, 4] = -cos
+        L[..., 1, 0] = sin * inv_sin * inv_r
+        L[..., 1, 1] = -cos * inv_sin * inv_r
+        L[..., 1, 3] = cos * cos_t * inv_sin
+        L[..., 1, 4] = sin * cos_t * inv_sin
+        L[..., 1, 5] = -weight
+        return rows_in_one(L)
 
     def _off_axis(self, first: Array) -> Array:
         return np.sin(first)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
-from vstestbed.features.base import Feature, bounded_inverse, checked, wrap
+from vstestbed.features.base import Feature, bounded_inverse, in_one, wrap
 from vstestbed.features.points import Point
 
 _POINT = Point()
@@ -52,16 +52,13 @@ class Polygon(Feature):
         """The vector s (..., 1 + N (N-1)) of xy (..., N, 2):
         sigma, then dx, dy of every segment.
         """
-        d = segments(xy)
-        return np.concatenate(
-            [size(xy)[..., None], d.reshape(*d.shape[:-2], 2 * d.shape[-2])], axis=-1
-        )
+        return np.concatenate([size(xy)[..., None], in_one(segments(xy))], axis=-1)
 
     def interaction(self, xy: Array, depth: Array) -> Array:
         """L (..., 2, 6) of xy (..., N, 2) and depth (..., N) [m]: the rows of sigma and of the
         angle.
         """
-        xy, depth = checked(xy, depth, self.inputs, self.least_markers)
+        xy, depth = self._checked(xy, depth)
         points = _POINT.interaction(xy, depth).reshape(*xy.shape, 6)
         area = _signed_area(xy)
         after = np.roll(xy, -1, axis=-2)
@@ -77,9 +74,8 @@ class Polygon(Feature):
         i, j = np.triu_indices(xy.shape[-2], 1)
         across = np.stack([-d[..., 1], d[..., 0]], axis=-1)
         share = _weights(d) * bounded_inverse(np.hypot(d[..., 0], d[..., 1])) ** 2
-        angle_row = np.einsum(
-            "...p,...pc,...pck->...k", share, across, points[..., j, :, :] - points[..., i, :, :]
-        )
+        way = points[..., j, :, :] - points[..., i, :, :]
+        angle_row = np.einsum("...p,...pc,...pck->...k", share, across, way)
         return np.stack([size_row, angle_row], axis=-2)
 
     def error(self, s: Array, s_star: Array) -> Array:
@@ -88,11 +84,11 @@ class Polygon(Feature):
         """
         s = np.asarray(s, dtype=float)
         s_star = np.asarray(s_star, dtype=float)
-        d, d_star = (v[..., 1:].reshape(*v.shape[:-1], -1, 2) for v in (s, s_star))
+        d = s[..., 1:].reshape(*s.shape[:-1], -1, 2)
+        d_star = s_star[..., 1:].reshape(*s_star.shape[:-1], -1, 2)
         turned = angle_error(d, d_star)
-        return np.stack(
-            [np.broadcast_to(size_error(s[..., 0], s_star[..., 0]), turned.shape), turned], axis=-1
-        )
+        larger = size_error(s[..., 0], s_star[..., 0])
+        return np.stack([np.broadcast_to(larger, turned.shape), turned], axis=-1)
 
     def check_goal(self, xy: Array, depth: Array) -> None:
         """Refuse a goal view xy (N, 2) in which three or more markers span no area: on one line, or
@@ -101,12 +97,10 @@ class Polygon(Feature):
         if len(xy) > 2 and not spans_area(size(xy), segments(xy)):
             words = (
                 "spans no area in the goal view, by which the law measures size;"
-                " the markers must not lie on one line, and must be in"
+                " the markers must not lie on one line, and must be in order around the polygon:"
+                " the areas of a bow tie's two loops cancel"
             )
-            raise ParameterError(
-                "target",
-                f"{words} order around the polygon: the areas of a bow tie's two loops cancel",
-            )
+            raise ParameterError("target", words)
 
 
 def size(xy: Array) -> Array:
@@ -135,8 +129,6 @@ def size_error(
     faces the camera sigma_dot = sigma vz/Z, so that the last form is that of the depth, log(Z*/Z).
     A size that is not positive has no ratio: ParameterError.
     """
-    sigma = np.asarray(sigma, dtype=float)
-    sigma_star = np.asarray(sigma_star, dtype=float)
     if form == "difference":
         return sigma - sigma_star
     if not ((sigma > 0).all() and (sigma_star > 0).all()):
@@ -161,7 +153,8 @@ def angle_error(d: Array, d_star: Array) -> Array:
     d_star; see `Polygon`.
     """
     # As complex numbers, so that the mean of angles is right at +-pi, too.
-    z, z_star = d[..., 0] + 1j * d[..., 1], d_star[..., 0] + 1j * d_star[..., 1]
+    z = d[..., 0] + 1j * d[..., 1]
+    z_star = d_star[..., 0] + 1j * d_star[..., 1]
     turn = z * np.conj(z_star)
     blend = np.sum(_weights(d) * turn / np.maximum(np.abs(turn), np.finfo(float).tiny), axis=-1)
     return wrap(np.angle(blend))
@@ -178,5 +171,6 @@ def _weights(d: Array) -> Array:
 
 
 def _signed_area(xy: Array) -> Array:
-    x, y = xy[..., 0], xy[..., 1]
+    x = xy[..., 0]
+    y = xy[..., 1]
     return 0.5 * np.sum(x * np.roll(y, -1, axis=-1) - np.roll(x, -1, axis=-1) * y, axis=-1)

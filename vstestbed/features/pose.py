@@ -44,9 +44,10 @@ class ThetaU:
     def interaction_at(self, s: Array) -> Array:
         """The same for s = theta u (..., 3) [rad], without computing it again."""
         L = np.zeros((*s.shape, 6))
-        L[..., 3:] = (
-            rotation_interaction(s) if self.rotation == "cdRc" else -rotation_interaction(-s)
-        )
+        if self.rotation == "cdRc":
+            L[..., 3:] = rotation_interaction(s)
+        else:
+            L[..., 3:] = -rotation_interaction(-s)
         return L
 
 
@@ -110,5 +111,7 @@ def log_depth_interaction(xy: Array, depth: Array) -> Array:
     Reference: Malis, Chaumette & Boudet 1999, doi:10.1109/70.760345.
     """
     L = np.zeros((*depth.shape, 6))
-    L[..., 2], L[..., 3], L[..., 4] = -1 / depth, -xy[..., 1], xy[..., 0]
+    L[..., 2] = -1 / depth
+    L[..., 3] = -xy[..., 1]
+    L[..., 4] = xy[..., 0]
     return L

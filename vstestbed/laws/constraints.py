@@ -14,7 +14,7 @@ from vstestbed.camera.base import pixel_interaction
 from vstestbed.core.geometry import Array, all_finite
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, TwistLimits
-from vstestbed.laws.points import points, usable_rows
+from vstestbed.laws.points import inputs_in_space, points, usable_rows
 from vstestbed.laws.solve import least_squares
 from vstestbed.robots.arm import unit_scale
 from vstestbed.robots.own_model import OwnModel
@@ -291,8 +291,7 @@ def border(seen: Observation, goal: Goal, robot: OwnModel, margin_px: float, rat
     Reference: Ames, Coogan, Egerstedt, Notomista, Sreenath & Tabuada 2019,
     doi:10.23919/ECC.2019.8796030 (barrier functions).
     """
-    around = seen.ray is not None and seen.range is not None
-    rows = usable_rows(seen, ("ray", "range") if around else ("xy", "depth"), 1)
+    rows = usable_rows(seen, inputs_in_space(seen), 1)
     if isinstance(rows, str) or len(goal.camera.panels) > 1:
         return Group.none("border", robot.J.shape[1])
     L = pixel_interaction(goal.camera, points(seen)[rows])

@@ -187,8 +187,10 @@ class ErrorLaw(Law[ErrorState], ABC):
         the feedforward, None without one.
         """
         e, J = equations
+        if basis is not None:
+            J = J @ basis
         units = units_of(goal, basis)
-        x = self.solve.least_squares((J if basis is None else J @ basis) * units, e)
+        x = self.solve.least_squares(J * units, e)
         ahead = x if shift is None else x + shift / units
         return extra, -self.gain.at(ahead) * ahead * units, x * units
 
@@ -519,9 +521,9 @@ def usable_markers(
     motion = _motion_since(kind, state, seen, basis)
     if motion is None or (why and seen.t - state.known_t > DEAD_RECKON_S):
         return seen, rows, why
-    known = reckoned_markers(
-        seen, state.seen, motion, seen.t - state.marker_t, DEAD_RECKON_S, None if why else basis
-    )
+    corrects = None if why else basis
+    unseen_s = seen.t - state.marker_t
+    known = reckoned_markers(seen, state.seen, motion, unseen_s, DEAD_RECKON_S, corrects)
     return known, usable_rows(known, inputs, needed), why
 
 
@@ -531,5 +533,7 @@ def integrated(
     """The next state and the feedforward term (n,), for the remaining motion x (n,)."""
     # Without an observation at the last frame nothing is added: the error in between is unknown.
     since = seen.t - state.seen.t if state.seen else 0.0
-    total = x * since + (0 if state.integral is None else state.integral)
+    total = x * since
+    if state.integral is not None:
+        total = total + state.integral
     return replace(state, seen=seen, integral=total), kind.rate_per_s2 * total

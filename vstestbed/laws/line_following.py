@@ -112,11 +112,9 @@ class LineFollowing(Law[LineState]):
         if not ahead.mean() >= LEAST_AHEAD_M:
             words = (
                 f"must have its middle {LEAST_AHEAD_M:g} m or more before the vehicle's origin,"
-                " in the camera's view of the floor"
+                f" in the camera's view of the floor; with this mount it is {ahead.mean():.3g} m"
             )
-            raise ParameterError(
-                "target.look_m", f"{words}; with this mount it is {ahead.mean():.3g} m"
-            )
+            raise ParameterError("target.look_m", words)
 
     def step(
         self, state: LineState, observation: Observation, goal: Goal, basis: Array

@@ -36,7 +36,7 @@ class Partitioned(ErrorLaw):
     motions by the points.
 
     v_z = -gain_z e_sigma,  w_z = gain_turn e_angle,
-    v_x, v_y = gain_xy Z e_middle                     those of them in `axes`
+    (v_x, v_y) = gain_xy Z e_middle                     those of them in `axes`
     v_rest = pinv(L_rest) (-lambda e - L_axes v_axes)   the others
 
     With `feedforward` the features are those of the markers where they are predicted.
@@ -222,7 +222,7 @@ class Partitioned(ErrorLaw):
         """The remaining rotations (...) [rad], not wrapped: the way round is chosen at the first
         frame, where `last` is NaN, and kept.
         """
-        ways = np.asarray(angle)[..., None] + _ROUND
+        ways = angle[..., None] + _ROUND
         first = np.isnan(last)
         # At first the shortest; then the one nearest to the last, since near a half turn the
         # wrapped angle would change its sign.

@@ -70,6 +70,7 @@ def weights(kind: Robust, e: NDArray[np.float32]) -> NDArray[np.float32] | None:
 # Luminance as a feature: the grey levels of all pixels, their interaction matrix, and the normal
 # equations that it gives.
 Grey = NDArray[np.float32]  # luminance (h, w) [grey levels, 0 to 255]
+Gradient = tuple[Grey, Grey]  # (dI/du, dI/dv), (h, w) each [grey levels/px]
 Which = Literal["current", "desired", "mean"]
 # pixels whose rows of L are held at a time: six float32 columns of them fit into a core's cache
 BAND_PX = 16384
@@ -102,7 +103,7 @@ def coarser(grey: Grey) -> Grey:
     return np.asarray(cv2.pyrDown(grey), np.float32)
 
 
-def gradient(grey: Grey) -> tuple[Grey, Grey]:
+def gradient(grey: Grey) -> Gradient:
     """(dI/du, dI/dv) [grey levels/px], by central differences of fourth order.
 
     Of a rendered picture Sobel's, which smooth across, are 20 to 25 % too small, and plain ones 15
@@ -185,7 +186,7 @@ class GoalLevel:
         y = np.ascontiguousarray(xy[..., 1], np.float32)
         return cls(grey, at, x, y, _slope(camera, xy, scale), np.zeros_like(x), light)
 
-    def normalised(self, along: tuple[Grey, Grey]) -> tuple[Grey, Grey]:
+    def normalised(self, along: Gradient) -> Gradient:
         """The gradient of these pixels in normalised coordinates, of one in pixels of the level,
         (h, w) each.
         """
@@ -196,7 +197,7 @@ class GoalLevel:
             return gu * np.float32(ux), gv * np.float32(vy)
         return np.asarray(gu * ux + gv * vx, np.float32), np.asarray(gu * uy + gv * vy, np.float32)
 
-    def interaction(self, along: tuple[Grey, Grey], inverse_depth: Grey) -> Grey:
+    def interaction(self, along: Gradient, inverse_depth: Grey) -> Grey:
         """Rows of L transposed, (6, pixels), as `rows` has them, of the gradient (dI/du, dI/dv) of
         the level's picture.
         """
@@ -204,7 +205,7 @@ class GoalLevel:
         return rows(gx.ravel(), gy.ravel(), self.x.ravel(), self.y.ravel(), inverse_depth.ravel())
 
     @cached_property
-    def gradient(self) -> tuple[Grey, Grey]:
+    def gradient(self) -> Gradient:
         """Of the goal's picture."""
         return gradient(self.grey)
 
@@ -261,7 +262,8 @@ class GoalLevel:
             w = np.zeros(len(e), np.float32)
             among = weights(robust, e[known])
             w[known] = 1 if among is None else among
-        H, b = self._sums(None if which == "desired" else gradient(grey), which, near, e, w)
+        along = None if which == "desired" else gradient(grey)
+        H, b = self._sums(along, which, near, e, w)
         # the Schur complement H_mm - H_ml H_ll^-1 H_lm: the motion that solves it is that of the
         # whole system with light
         if len(b) > 6:
@@ -272,7 +274,8 @@ class GoalLevel:
         e = self._unlit(e, w)
         squares = e * e if w is None else w * e * e
         total = float(len(e) if w is None else w.sum(dtype=float))
-        return H, b, float(np.sqrt(squares.sum(dtype=float) / total)) if total > 0 else float("nan")
+        error = float(np.sqrt(squares.sum(dtype=float) / total)) if total > 0 else math.nan
+        return H, b, error
 
     def _unlit(self, e: Grey, w: Grey | None) -> Grey:
         """Errors (n,) without what gain and offset of a light that may have changed explain of
@@ -294,7 +297,7 @@ class GoalLevel:
         return np.float32(0.5) * (current + self.L[:, band]) if which == "mean" else current
 
     def _sums(
-        self, along: tuple[Grey, Grey] | None, which: Which, near: Grey, e: Grey, w: Grey | None
+        self, along: Gradient | None, which: Which, near: Grey, e: Grey, w: Grey | None
     ) -> tuple[Array, Array]:
         """L^T W L and L^T W e, band by band; of light that may have changed with its two columns,
         (8, 8) and (8,).
@@ -488,12 +491,10 @@ class Photometric(Law[PhotometricState]):
         if inner < LEAST_SIDE:
             given = f"margin_px {self.margin_px}, levels {self.levels} and stride {self.stride}"
             words = (
-                f"leaves {max(inner, 0):.3g} px of the picture's {least} at the"
-                f" coarsest level with {given}"
+                f"leaves {max(inner, 0):.3g} px of the picture's {least} at the coarsest level with"
+                f" {given}, and {LEAST_SIDE} are needed; make one of them smaller"
             )
-            raise ParameterError(
-                "law", f"{words}, and {LEAST_SIDE} are needed; make one of them smaller"
-            )
+            raise ParameterError("law", words)
 
     def init(self, goal: Goal) -> PhotometricState:
         return PhotometricState()
@@ -516,7 +517,8 @@ class Photometric(Law[PhotometricState]):
         near = None
         if self._reads_depth:
             near = _inverse(sight, level, state.level)
-        if why := _unfit(pyramid[0], level, grey, near):
+        why = _unfit(pyramid[0], level, grey, near)
+        if why:
             return state, Command.rest(basis, why)
         robust = self.robust
         if state.level > 0:

@@ -29,6 +29,7 @@ __all__ = [
     "at_goal",
     "check_goal",
     "check_margin",
+    "inputs_in_space",
     "moved_markers",
     "points",
     "reckoned_markers",
@@ -100,6 +101,15 @@ def points(observation: Observation) -> Array:
     if observation.ray is not None and observation.range is not None:
         return observation.ray * observation.range[:, None]
     return homogeneous(observation.xy) * observation.depth[:, None]
+
+
+def inputs_in_space(observation: Observation) -> tuple[str, str]:
+    """The fields that tell where markers are: rays where the law has them, as points beside or
+    behind a wide lens have no xy.
+    """
+    if observation.ray is None or observation.range is None:
+        return "xy", "depth"
+    return "ray", "range"
 
 
 def moved_markers(observation: Observation, p: Array, which: NDArray[np.bool_]) -> Observation:
@@ -234,9 +244,7 @@ class Visibility:
         is near. `goal` has the lens.
         """
         nothing = np.zeros(basis.shape[1])
-        around = observation.ray is not None and observation.range is not None
-        # Rays where the law has them: points beside or behind a wide lens have no xy.
-        rows = usable_rows(observation, ("ray", "range") if around else ("xy", "depth"), 1)
+        rows = usable_rows(observation, inputs_in_space(observation), 1)
         if isinstance(rows, str):
             return nothing
         radius = 0.0 if observation.radius_px is None else observation.radius_px[rows]

@@ -245,11 +245,12 @@ class Policy(Law[Act]):
 
 def _loaded(file: str, sees: tuple[str, ...]) -> Any:
     """The function, class or object that `Policy.file` names."""
+    is_network = file.endswith(".onnx")
     source, _, name = file.rpartition(":")
-    path = Path(file if file.endswith(".onnx") else source)
+    path = Path(file if is_network else source)
     if not is_there(path):
         raise ParameterError("file", f"{path} is not there; give the place of {path.name}")
-    if file.endswith(".onnx"):
+    if is_network:
         return _network(path, path.stat().st_mtime_ns, sees)
     try:
         found = getattr(load_file(path), name, None)

@@ -75,8 +75,8 @@ def polar(place: Array, goal: Array, direction: Array) -> tuple[Array, Array, Ar
     rad]. direction: 1 forward, -1 in reverse (...). Returns rho [m], alpha and beta [rad] in [-pi,
     pi), (...) each. At rho = 0 the bearing is set to 0.
     """
-    d = np.asarray(goal, dtype=float) - place
-    reverse = np.where(np.asarray(direction) < 0, np.pi, 0.0)
+    d = goal - place
+    reverse = np.where(direction < 0, np.pi, 0.0)
     alpha = wrapped(np.arctan2(d[..., 1], d[..., 0]) - place[..., 2] - reverse)
     return np.hypot(d[..., 0], d[..., 1]), alpha, wrapped(d[..., 2] - alpha)
 

@@ -41,6 +41,7 @@ from vstestbed.laws.solve import units_of
 from vstestbed.robots.own_model import OwnModel
 
 STILL = np.zeros(6)
+Blocks = NDArray[np.intp]  # the block of each period (K,), over which velocities are constant
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +67,7 @@ class Predicted:
     J: Array
 
 
-def blocks_of(horizon: int, blocks: int) -> NDArray[np.intp]:
+def blocks_of(horizon: int, blocks: int) -> Blocks:
     """The block of each period (K,): a plan's velocities are constant over each block, and blocks
     grow, as the first periods matter most.
 
@@ -83,18 +84,18 @@ def blocks_of(horizon: int, blocks: int) -> NDArray[np.intp]:
     return np.repeat(np.arange(blocks), lengths)
 
 
-def beginnings(block: NDArray[np.intp]) -> NDArray[np.intp]:
+def beginnings(block: Blocks) -> NDArray[np.intp]:
     """The first period of each block (B,)."""
     return np.flatnonzero(np.diff(block, prepend=-1))
 
 
-def shifted(plan: Array, block: NDArray[np.intp]) -> Array:
+def shifted(plan: Array, block: Blocks) -> Array:
     """A plan (B, n) a period later; the last velocities stay."""
     each = plan[block]
     return np.vstack([each[1:], each[-1:]])[beginnings(block)]
 
 
-def lagged(block: NDArray[np.intp], plan: Array, before: Array, lag: float) -> tuple[Array, Array]:
+def lagged(block: Blocks, plan: Array, before: Array, lag: float) -> tuple[Array, Array]:
     """Mean velocities (K, n) in each period of first-order servos, and their change with the
     blocks' orders, (K, B), alike for each n.
 
@@ -122,7 +123,7 @@ def lagged(block: NDArray[np.intp], plan: Array, before: Array, lag: float) -> t
 def predict(
     p: Array,
     robot: OwnModel,
-    block: NDArray[np.intp],
+    block: Blocks,
     plan: Array,
     relinearise: bool,
     target: Array = STILL,
@@ -319,7 +320,7 @@ class Predictive(Law[PlanState]):
         return (solution.x.reshape(plan.shape), tracked), command
 
     @cached_property
-    def _block(self) -> NDArray[np.intp]:
+    def _block(self) -> Blocks:
         """The block of each period (K,)."""
         return blocks_of(self.horizon, self.blocks)
 

@@ -40,7 +40,7 @@ from vstestbed.laws.ibvs import IBVS
 from vstestbed.laws.partitioned import Partitioned
 from vstestbed.laws.pbvs import PBVS
 from vstestbed.laws.points import check_margin, usable_rows
-from vstestbed.laws.solve import PINV_RCOND, units_of
+from vstestbed.laws.solve import PSEUDO_INVERSE, units_of
 from vstestbed.robots.arm import singularity_damping2
 from vstestbed.robots.own_model import OwnModel
 
@@ -188,8 +188,7 @@ def among_solutions(
     A, b = _stacked(strict)
     if not len(A):
         return solution
-    _, s, Vt = np.linalg.svd(main)
-    N = Vt[int(np.count_nonzero(s > PINV_RCOND * s[0])) :].T
+    N = PSEUDO_INVERSE.null_space(main)
     if N.shape[1] == 0:
         return solution
     # The bounds of x as inequalities of z, which z = 0 satisfies; rounding may have put x on the

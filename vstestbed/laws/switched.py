@@ -411,12 +411,16 @@ class Switched(Law[SwitchedState]):
 
     @cached_property
     def _quantities(self) -> tuple[str, ...]:
-        return tuple(dict.fromkeys(name for part in self.laws for name, _, _ in part.until.limits))
+        compared = []
+        for part in self.laws:
+            compared += [name for name, _, _ in part.until.limits]
+        return tuple(dict.fromkeys(compared))
 
     def _chosen(self, state: SwitchedState, observation: Observation, goal: Goal) -> SwitchedState:
         """The state with the law that is to work in this frame."""
         t = observation.t
         first = math.isnan(state.since)
+        since = t if first else state.since
         start_m = state.start_m
         if math.isnan(start_m) and "retreat" in self._quantities:
             start_m = target_distance(observation)
@@ -424,7 +428,7 @@ class Switched(Law[SwitchedState]):
             name: QUANTITIES[name][0](observation, goal, start_m) for name in self._quantities
         }
         barred = self._barred(state.barred, values)
-        state = replace(state, since=t if first else state.since, barred=barred, start_m=start_m)
+        state = replace(state, since=since, barred=barred, start_m=start_m)
         wanted = self._wanted(state.active, barred)
         # times are sums of floating-point numbers
         if wanted == state.active or not (first or t - state.since >= self.dwell_s - 1e-9):

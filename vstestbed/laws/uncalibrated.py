@@ -10,10 +10,10 @@ from functools import cached_property
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Le
 
 from vstestbed.core.geometry import Array
-from vstestbed.core.quantity import PositivePixels, PositiveTime, Time
+from vstestbed.core.quantity import PositivePixels, PositiveShare, PositiveTime, Time
 from vstestbed.core.registry import Registry
 from vstestbed.core.spec import spec
 from vstestbed.features.depth import AtGoal
@@ -38,7 +38,7 @@ class Broyden:
     """
 
     kind: Literal["broyden"] = "broyden"
-    rate: Annotated[float, Gt(0), Le(1)] = 0.5
+    rate: PositiveShare = 0.5
 
     def corrected(self, J: Array, P: Array, x: Array, y: Array, most: float) -> tuple[Array, Array]:
         """The next J and P of markers whose motion was measured. J: image Jacobian of each marker
@@ -202,7 +202,7 @@ class Excitation:
 
     amplitude_px: PositivePixels = 20.0
     time_s: PositiveTime = 0.4
-    speed_share: Annotated[float, Gt(0), Le(1)] = 0.2
+    speed_share: PositiveShare = 0.2
 
     def step(
         self, state: Excited, uv: Array, moved: Array, robot: OwnModel
@@ -278,7 +278,9 @@ class Excitation:
         elif state.speed and abs(state.x[i] - state.x_before) >= abs(robot.underway[i]):
             speed = 2 * speed  # not before the picture has shown what was ordered
         speed = min(speed, most)
-        state = replace(state, speed=speed, side=side if state.leg == OUT else state.side)
+        state = replace(state, speed=speed)
+        if state.leg == OUT:
+            state = replace(state, side=side)
         rates = np.zeros(len(robot.names))
         if state.leg == BACK:
             # The time constant of this approach, four periods, is one that a servo can follow.

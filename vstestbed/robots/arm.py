@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from typing import Annotated, Any, ClassVar, Self
@@ -22,7 +22,7 @@ from vstestbed.core.errors import ParameterError, UnreachableError
 from vstestbed.core.geometry import Array, adjoint, inverse, log, rigid_error
 from vstestbed.core.quantity import Angle
 from vstestbed.core.spec import spec
-from vstestbed.effects.base import Effect
+from vstestbed.effects.base import Effect, Sensors
 from vstestbed.effects.joints import (
     FINEST,
     CurrentLoops,
@@ -463,12 +463,13 @@ class Arm(Realistic):
             found.append(self.payload)
         return *found, *self.effects
 
-    def _springs(self, gears: Gears) -> tuple[Array, Array | None, Array | None]:
+    def _springs(self, gears: Gears) -> tuple[Array, Array, Array | None]:
         """Stiffness (n,) and stages (n, m, 2) of the gears, inertia of the rotors (n,); None where
         there are none of its own.
         """
         preset = self.presets.get(self.realism, {}).get("gears")
         slides = self.chain.slides
+        none = np.zeros((len(slides), 0, 2))  # stages
         if gears.stiffness_nmprad:
             if self.strain_wave is not None and gears == preset:
                 words = (
@@ -477,7 +478,7 @@ class Arm(Realistic):
                 )
                 raise ParameterError("gears.stiffness_nmprad", words)
             k = each("gears.stiffness_nmprad", gears.stiffness_nmprad, slides, turns=False)
-            return k, None, None
+            return k, none, None
         if self.strain_wave is not None:
             return *self.strain_wave.curves(slides), self.strain_wave.rotors(slides)
         if gears != preset:
@@ -486,7 +487,7 @@ class Arm(Realistic):
                 " robot.strain_wave: {sizes: [20]}"
             )
             raise ParameterError("gears.stiffness_nmprad", words)
-        return np.zeros(len(slides)), None, None
+        return np.zeros(len(slides)), none, None
 
     def _gears_step(self) -> float:
         """The longest physics step that resolves the quickest vibration of the gears [s].
@@ -503,34 +504,39 @@ class Arm(Realistic):
         k = self.elastic.stiffest
         for i in np.flatnonzero((k > 0) & (rotors <= 0)).tolist():
             words = (
-                "must be 0 for {joint}, which has no rotor that could move by itself;"
-                " give it an `armature` in its file{or_here}"
+                f"must be 0 for {self.chain.names[i]}, which has no rotor that could move by"
+                " itself; give it an `armature` in its file"
             )
-            raise self._too_stiff(i, float(k[i]), words)
+            if not self._listed_springs:
+                words += ", or its inertia in strain_wave.rotor_kgm2"
+            raise self._too_stiff(float(k[i]), words)
         w, joint = quickest(M, rotors, k)
         step = FINEST / w if w else np.inf
         if step < SHORTEST_STEP_S:
-            most = float(f"{k[joint] * (step / SHORTEST_STEP_S) ** 2:.2g}")
-            needs = (
-                f"it vibrates at {w / 2 / np.pi:.0f} Hz,"
+            softer = ""
+            if self._listed_springs:
+                most = float(f"{k[joint] * (step / SHORTEST_STEP_S) ** 2:.2g}")
+                softer = f" or at most {most:g}"
+            words = (
+                f"must be 0 (rigid){softer} for {self.chain.names[joint]}:"
+                f" it vibrates at {w / 2 / np.pi:.0f} Hz,"
                 f" which needs physics steps of {1e6 * step:.0f} us"
             )
-            words = f"must be 0 (rigid){{or_softer}} for {{joint}}: {needs}"
-            raise self._too_stiff(joint, float(k[joint]), words, most)
+            raise self._too_stiff(float(k[joint]), words)
         return step
 
-    def _too_stiff(self, joint: int, k: float, words: str, most: float = 0.0) -> ParameterError:
-        """The error for a gear, by the field that has its stiffness k [Nm/rad]."""
-        name = self.chain.names[joint]
-        if self.gears is not None and self.gears.stiffness_nmprad:
-            said = words.format(joint=name, or_here="", or_softer=f" or at most {most:g}")
-            if len(self.gears.stiffness_nmprad) == 1:
-                said += "; works: a list, with a value for each joint"
-            return ParameterError("robot.gears.stiffness_nmprad", said, k)
-        said = words.format(
-            joint=name, or_here=", or its inertia in strain_wave.rotor_kgm2", or_softer=""
-        )
-        return ParameterError("robot.strain_wave.sizes", said)
+    @property
+    def _listed_springs(self) -> tuple[float, ...]:
+        """The stiffness of its gears where it is listed; () where the catalogue has it."""
+        return () if self.gears is None else self.gears.stiffness_nmprad
+
+    def _too_stiff(self, k: float, words: str) -> ParameterError:
+        """The error for a gear of stiffness k [Nm/rad], by the field that has it."""
+        if not self._listed_springs:
+            return ParameterError("robot.strain_wave.sizes", words)
+        if len(self._listed_springs) == 1:
+            words += "; works: a list, with a value for each joint"
+        return ParameterError("robot.gears.stiffness_nmprad", words, k)
 
     def instruments(self, rng: np.random.Generator) -> SensorModel:
         """What the encoders read of the rotors' angles q and speeds qd (n,) each."""
@@ -540,7 +546,7 @@ class Arm(Realistic):
         if encoders is None and wrist is None:
             return super().instruments(rng)
 
-        def read(q: Array, qd: Array, sensors: Mapping[str, list[float]]) -> Reading:
+        def read(q: Array, qd: Array, sensors: Sensors) -> Reading:
             if encoders is not None:
                 q, qd = encoders.read(q, qd, slides)
             return Reading(q, qd, wrench=None if wrist is None else wrist.read(sensors, rng))

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.outcome import Outcome, Verdict
-from vstestbed.effects.base import Effect
+from vstestbed.effects.base import Effect, Sensors
 from vstestbed.effects.body import Change
 from vstestbed.robots.allocation import Actuation, Allocation, Mount, Order
 from vstestbed.robots.own_model import CAMERA, OwnModel
@@ -248,7 +248,7 @@ class BodyFile:
 
 
 Base = Literal["fixed", "planar", "floating"]
-SensorModel = Callable[[Array, Array, Mapping[str, list[float]]], Any]
+SensorModel = Callable[[Array, Array, Sensors], Any]
 """From true joint positions and speeds, (n,) each, and MuJoCo's perfect sensors by name to what the
 robot's sensors read.
 """

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
@@ -31,14 +31,14 @@ from vstestbed.core.quantity import (
     TighterBounds,
 )
 from vstestbed.core.spec import spec
-from vstestbed.effects.base import Effect
+from vstestbed.effects.base import Effect, Sensors
 from vstestbed.effects.body import Change, couple, loosen, put, scale, stretch
 from vstestbed.effects.floor import UnevenFloor
 from vstestbed.effects.wheels import WHEELS, Tyres, WheelSpread
 from vstestbed.robots.allocation import Allocation, Mount
 from vstestbed.robots.base import BodyFile, Onboard, Reading, SensorModel
 from vstestbed.robots.own_model import OwnModel
-from vstestbed.robots.realism import Level
+from vstestbed.robots.realism import Presets
 from vstestbed.robots.vehicle import PLANE, GroundStart, Vehicle
 
 # Kinematic bicycle model: a car whose wheels roll without slip, its limits, and its closed loop
@@ -78,8 +78,6 @@ def steering_of(v: Array | float, w: Array | float, wheelbase: float) -> Array:
     """The steering angle for a speed v [m/s] and a yaw rate w [rad/s]: gamma = atan(L w / v), in
     [-pi/2, pi/2].
     """
-    v = np.asarray(v, dtype=float)
-    w = np.asarray(w, dtype=float)
     # atan2(sign(v) L w, |v|) and not atan2(L w, v): in reverse that would point the wheels
     # backwards. At v = 0 it is a quarter turn.
     return np.arctan2(np.where(v < 0, -w, w) * wheelbase, np.abs(v))
@@ -122,7 +120,6 @@ def rolled(place: Array, v: Array, steering: Array, wheelbase: float, duration: 
     """The place after `duration` [s] at constant speed and steering angle from `place` (..., 3):
     the exact arc.
     """
-    v = np.asarray(v, dtype=float)
     motion = np.stack(np.broadcast_arrays(v, 0.0, yaw_rate(v, steering, wheelbase)), axis=-1)
     return moved(place, motion, duration)
 
@@ -381,7 +378,7 @@ integral [rad/s], the drive [rad/s].
 """
 
 
-CAR: Mapping[Level, Mapping[str, object]] = {
+CAR: Presets = {
     "lab": {
         "tyres": Tyres(stiffness=12.0, relaxation_m=0.1),
         "steering_play_deg": 0.5,
@@ -542,7 +539,7 @@ class Car(Vehicle, Onboard):
         """
         compass = self.compass
 
-        def read(q: Array, qd: Array, sensors: Mapping[str, list[float]]) -> Reading:
+        def read(q: Array, qd: Array, sensors: Sensors) -> Reading:
             x, y = sensors["heading"][:2]
             error = math.radians(compass.bias_deg + compass.sigma_deg * rng.standard_normal())
             heading = (math.atan2(y, x) + error + math.pi) % (2 * math.pi) - math.pi
@@ -573,6 +570,14 @@ class Car(Vehicle, Onboard):
         # sideways a little.
         left, right = (now.q[_REAR] - before.q[_REAR]) * (self.believed_radius / duration)
         return np.array([(left + right) / 2, 0.0, (right - left) / self.parameters.track_m])
+
+    def measured_twist(
+        self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount
+    ) -> Array:
+        """Mean camera twist (6,) between two readings, from the encoders alone; zero where no time
+        has passed.
+        """
+        return mount.to_camera @ (PLANE @ self.odometry(before, now, duration))
 
     def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
         """Speed [m/s] and steering angle [rad] for a camera twist (6,), as `within_limits` has it.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Annotated, Literal
 
 import numpy as np
@@ -12,7 +12,7 @@ from annotated_types import Gt, Le
 from vstestbed.core.quantity import GRAVITY, PositiveGain, PositiveTime, Sigma
 from vstestbed.core.registry import Registry
 from vstestbed.core.spec import spec
-from vstestbed.effects.base import Vector
+from vstestbed.effects.base import Sensors, Vector
 from vstestbed.robots.attitude import Imu, Level, to_body, to_level
 from vstestbed.robots.flight import Instruments
 
@@ -138,9 +138,7 @@ def drawn_noise(
         yield from (sigma * rng.standard_normal((64, 10)) + bias).tolist()
 
 
-def instruments(
-    sensors: Mapping[str, list[float]], noise: list[float], scale_error: float
-) -> Instruments:
+def instruments(sensors: Sensors, noise: list[float], scale_error: float) -> Instruments:
     """The reading of perfect sensors by name (`voltage` [V] where there is one), with noise and
     bias (10,) and a scale error.
     """

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -19,7 +18,7 @@ from vstestbed.effects.links import GeometryError
 from vstestbed.robots.allocation import Actuation, Servo
 from vstestbed.robots.arm import Arm, ArmStart
 from vstestbed.robots.chain import JointChain, reader
-from vstestbed.robots.realism import Level
+from vstestbed.robots.realism import Presets
 
 # position gain of a velocity servo over the joint's inertia [1/s^2]; the Puma's have 3500 to 5800
 STIFFNESS = 4500.0
@@ -31,7 +30,7 @@ WIND_UP_M = 1e-3
 # Cycles of the errors of a strain wave gear in a turn of the joint: two in a turn of the motor
 # (Tuttle & Seering 1996, doi:10.1109/70.499819), at a ratio of 100.
 WAVES = (200.0,)
-PRESETS: Mapping[Level, Mapping[str, object]] = {
+PRESETS: Presets = {
     "lab": {
         "gears": Gears(),
         "ripple": Ripple(share=0.01, cycles=WAVES),

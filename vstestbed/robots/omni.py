@@ -23,7 +23,6 @@ models/omni.xml and models/omni_planar.xml, which `parameters` changes (`OmniPar
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import cached_property
 from typing import Annotated, Literal
 
@@ -41,7 +40,7 @@ from vstestbed.effects.wheels import WHEELS, WheelSpread
 from vstestbed.robots.allocation import Allocation, Mount
 from vstestbed.robots.base import BodyFile, Onboard, Reading
 from vstestbed.robots.own_model import OwnModel
-from vstestbed.robots.realism import Level
+from vstestbed.robots.realism import Presets
 from vstestbed.robots.vehicle import PLANE, GroundStart, Vehicle
 
 # signs of the wheels' places (x, y) in the base frame (4, 2)
@@ -208,7 +207,7 @@ def _larger_rollers(name: str, factor: float) -> tuple[Change, ...]:
 PLATFORM = OmniParameters()  # the base of models/omni.xml and models/omni_planar.xml
 
 
-OMNI: Mapping[Level, Mapping[str, object]] = {
+OMNI: Presets = {
     "lab": {
         "rolling_resistance": 0.01,
         "drive_lag_s": 0.03,
@@ -283,9 +282,8 @@ class Omni(Vehicle, Onboard):
                     (scale, "geom", "pos", factor, name),
                     *_larger_rollers(name, factor),
                 ]
-        return BodyFile(
-            "omni.xml" if rolls else "omni_planar.xml", WHEELS, changes=tuple(found), slips=rolls
-        )
+        file = "omni.xml" if rolls else "omni_planar.xml"
+        return BodyFile(file, WHEELS, changes=tuple(found), slips=rolls)
 
     @property
     def ends_m(self) -> tuple[float, float]:
@@ -341,6 +339,14 @@ class Omni(Vehicle, Onboard):
         if self.wheels == "planar":
             return belief * motion_between(before.q, now.q, duration)
         return belief * (self.parameters.W_inverse @ (now.q - before.q)) / duration
+
+    def measured_twist(
+        self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount
+    ) -> Array:
+        """Mean camera twist (6,) between two readings, from the encoders alone; zero where no time
+        has passed.
+        """
+        return mount.to_camera @ PLANE @ self.odometry(before, now, duration)
 
     def begin(self) -> Array:
         """A drive at rest (4,) [rad/s]."""

@@ -6,7 +6,6 @@ are in `models/puma560.xml`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -19,7 +18,7 @@ from vstestbed.effects.links import GeometryError
 from vstestbed.robots.allocation import Actuation
 from vstestbed.robots.arm import Arm, ArmStart, Positions
 from vstestbed.robots.chain import JointChain
-from vstestbed.robots.realism import Level
+from vstestbed.robots.realism import Presets
 
 JOINT_LIMITS = np.radians(
     [[-160, 160], [-45, 225], [-225, 45], [-110, 170], [-100, 100], [-266, 266]]
@@ -83,7 +82,7 @@ def _worn(
     }
 
 
-PRESETS: Mapping[Level, Mapping[str, object]] = {
+PRESETS: Presets = {
     "lab": {
         **_worn(k=40_000.0, play_deg=0.005, share=0.01, counts=4000, off_deg=0.05),
         "drives": CurrentLoops(bandwidth_hz=500.0),

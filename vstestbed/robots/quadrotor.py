@@ -70,7 +70,7 @@ from vstestbed.robots.flight_sensors import (
     instruments,
 )
 from vstestbed.robots.own_model import OwnModel
-from vstestbed.robots.realism import Level, Realistic
+from vstestbed.robots.realism import Presets, Realistic
 from vstestbed.robots.rotors import X4, QuadrotorParameters, mix, speed_control
 
 ROTORS = ("front", "right", "back", "left")
@@ -242,10 +242,17 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
     max_climb_mps: PositiveSpeed = 1.0
     max_yaw_rate_radps: PositiveRate = 0.8
 
-    presets: ClassVar[Mapping[Level, Mapping[str, object]]] = {"lab": LAB, "field": FIELD}
+    presets: ClassVar[Presets] = {"lab": LAB, "field": FIELD}
     proprioception_names: ClassVar[tuple[str, ...]] = (  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
-        *("roll", "pitch", "range"),
-        *("vx", "vy", "vz", "wx", "wy", "wz"),
+        "roll",
+        "pitch",
+        "range",
+        "vx",
+        "vy",
+        "vz",
+        "wx",
+        "wy",
+        "wz",
     )
     base = "floating"
     reading = FlightReading

@@ -21,6 +21,9 @@ from vstestbed.effects.base import Further
 from vstestbed.robots.base import Robot
 
 Level = Literal["none", "lab", "field"]
+Presets = Mapping[
+    Level, Mapping[str, object]
+]  # by level, the fields that it fills and their values
 LEVELS: tuple[Level, ...] = typing.get_args(Level)
 MOST_PRESET = 100_000  # bytes of a preset's file, as of a scenario
 
@@ -56,7 +59,7 @@ class Realistic(Robot):
 
     effects: Further = ()
     realism: Annotated[Level, OrText()] = "none"
-    presets: ClassVar[Mapping[Level, Mapping[str, object]]] = {}
+    presets: ClassVar[Presets] = {}
 
     @model_validator(mode="before")
     @classmethod

@@ -24,7 +24,6 @@ from vstestbed.core.spec import spec
 from vstestbed.effects.base import Effect
 from vstestbed.effects.floor import UnevenFloor
 from vstestbed.effects.wheels import WheelSpread
-from vstestbed.robots.allocation import Mount
 from vstestbed.robots.base import Reading, RobotLog, RobotState, Supervisor, random_of
 from vstestbed.robots.realism import Realistic
 
@@ -233,18 +232,6 @@ class Vehicle(Realistic):
         x, y, heading = configuration.tolist()
         nominal = GroundPose(x=x, y=y, heading_deg=math.degrees(heading))
         return dataclasses.replace(self, start=dataclasses.replace(self.start, nominal=nominal))
-
-    def odometry(self, before: Reading, now: Reading, duration: float) -> Array:
-        """Mean motion (vx, vy, wz) of the base between two readings of its encoders."""
-        raise NotImplementedError
-
-    def measured_twist(
-        self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount
-    ) -> Array:
-        """Mean camera twist (6,) between two readings, from the encoders alone; zero where no time
-        has passed.
-        """
-        return mount.to_camera @ (PLANE @ self.odometry(before, now, duration))
 
     def lagged(self, now: Value, order: Value, dt: float) -> Value:
         """What the drive follows after dt [s] of an order, from what it follows now, (n,) each:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import colorsys
 import pathlib
 from abc import abstractmethod
-from collections import Counter
 from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
@@ -101,9 +100,8 @@ class Target:
     socket: Socket | None = None
     names: Annotated[tuple[Name, ...], Len(0, 24)] = ()
 
-    one_sided: ClassVar[bool] = (
-        False  # whether only its front has markers: seen from behind its plane it counts as lost
-    )
+    # whether only its front has markers: seen from behind its plane it counts as lost
+    one_sided: ClassVar[bool] = False
     outlined: ClassVar[bool] = False
     """Whether its points are the outline of one region of one colour, in order, and not markers
     that can be told apart.
@@ -141,11 +139,9 @@ class Target:
         """Points on the floor along the carrier's route, or along painted lines, every centimetre,
         (K, 2) [m]; else empty.
         """
-        return (
-            np.empty((0, 2))
-            if self.motion.carrier is None
-            else self.motion.carrier.route.samples[1]
-        )
+        if self.carrier is None:
+            return np.empty((0, 2))
+        return self.carrier.route.samples[1]
 
     @property
     def board_half_m(self) -> tuple[float, float] | None:
@@ -264,10 +260,11 @@ class Target:
         """One hue for each marker [deg], by which detectors identify the markers: those given, or
         spread evenly from red on.
         """
+        given = self.marker.hues
+        if given:
+            return tuple(hue if isinstance(hue, float) else HUES_DEG[hue] for hue in given)
         n = len(self.points)
-        return tuple(
-            hue if isinstance(hue, float) else HUES_DEG[hue] for hue in self.marker.hues
-        ) or tuple(360 * i / n for i in range(n))
+        return tuple(360 * i / n for i in range(n))
 
     @cached_property
     def hue_gap_deg(self) -> float:
@@ -303,14 +300,18 @@ class Target:
             raise ParameterError.count(
                 "names", len(self.points), "names, one for each marker, or none", list(self.names)
             )
-        name, times = Counter(self.names).most_common(1)[0] if self.names else ("", 1)
-        if times > 1:
-            raise ParameterError.twice("names", name, list(self.names))
+        most = max(self.names, key=self.names.count, default="")
+        if self.names.count(most) > 1:
+            raise ParameterError.twice("names", most, list(self.names))
 
 
-BOARD_MARGIN = (
-    1.5  # the board behind a square reaches this many marker radii beyond the markers' edges
-)
+# the board behind a square reaches this many marker radii beyond the markers' edges
+BOARD_MARGIN = 1.5
+
+
+def in_plane(xy: Array) -> Array:
+    """Points (..., 3) of a target's plane z = 0, by their x and y (..., 2)."""
+    return np.concatenate([xy, np.zeros((*xy.shape[:-1], 1))], axis=-1)
 
 
 @spec

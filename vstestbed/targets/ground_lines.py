@@ -15,7 +15,7 @@ from vstestbed.core.geometry import Array, Pose, inverse, transform
 from vstestbed.core.planar import pose_on_ground
 from vstestbed.core.quantity import Length
 from vstestbed.core.spec import spec
-from vstestbed.targets.base import Target
+from vstestbed.targets.base import Target, in_plane
 from vstestbed.targets.markers import Stripe
 from vstestbed.targets.route import AnyRoute, Route, Straight
 
@@ -35,9 +35,7 @@ def on_foot(T: Array, xy: Array) -> Array:
     """Floor points xy (..., 2) of the ground frame `foot_of(T)`, in the frame of the camera at T
     (4, 4), shape (..., 3) [m].
     """
-    xy = np.asarray(xy, dtype=float)
-    flat = np.concatenate([xy, np.zeros_like(xy[..., :1])], axis=-1)
-    return transform(inverse(T) @ pose_on_ground(foot_of(T)), flat)
+    return transform(inverse(T) @ pose_on_ground(foot_of(T)), in_plane(xy))
 
 
 @spec
@@ -102,18 +100,19 @@ class GroundLines(Target):
     @property
     def floor_path(self) -> Array:
         """The route in the world, every centimetre, shape (K, 2) [m]."""
-        xy = self.route.samples[1]
-        return transform(self.pose.T, np.column_stack([xy, np.zeros(len(xy))]))[:, :2]
+        return transform(self.pose.T, in_plane(self.route.samples[1]))[:, :2]
 
     @property
     def stripes(self) -> tuple[tuple[Array, Array], ...]:
         """Left and right edge of each line in the target frame, each (K, 2) [m]."""
         half = self.marker.width_m / 2
         _, xy, heading, _ = self.route.samples
-        return tuple(
-            (_beside(xy, heading, offset + half), _beside(xy, heading, offset - half))
-            for offset in self.offsets_m
-        )
+        edges = []
+        for offset in self.offsets_m:
+            left = _beside(xy, heading, offset + half)
+            right = _beside(xy, heading, offset - half)
+            edges.append((left, right))
+        return tuple(edges)
 
     # Cached: `seen_from` runs for every frame, and a route has hundreds of samples.
     @cached_property
@@ -126,11 +125,9 @@ class GroundLines(Target):
         """The points measured by a camera over the start of the route, facing along it, in the
         target frame, shape (N, 3) [m].
         """
-        x, y, heading, _ = self.route.at(np.array(self.look_m)).T
-        xy = np.concatenate(
-            [_beside(np.column_stack([x, y]), heading, offset) for offset in self.offsets_m]
-        )
-        return np.column_stack([xy, np.zeros(len(xy))])
+        ahead = self.route.at(np.array(self.look_m))
+        lines = [_beside(ahead[:, :2], ahead[:, 2], offset) for offset in self.offsets_m]
+        return in_plane(np.concatenate(lines))
 
     def seen_from(self, T_target_camera: Array) -> Array:
         """Where the lines cross the look-ahead distances of a camera at a pose (4, 4): (N, 3) in
@@ -146,12 +143,8 @@ class GroundLines(Target):
         """
         # In the middle of a route that reaches beyond what the camera looks at, ahead or behind,
         # wherever it is mounted.
-        reach = (
-            10.0
-            + abs(self.look_m[0])
-            + abs(self.look_m[1])
-            + float(np.abs(T_base_camera[:2, 3]).max())
-        )
+        farthest = float(np.abs(T_base_camera[:2, 3]).max())
+        reach = 10.0 + abs(self.look_m[0]) + abs(self.look_m[1]) + farthest
         T = pose_on_ground(np.array([reach, offset, 0.0])) @ T_base_camera
         return replace(self, pose=Pose(), route=Straight(length_m=2 * reach)).seen_from(T)
 
@@ -176,7 +169,8 @@ def _crossings(line: Array, foot: Array, aheads: tuple[float, ...]) -> Array:
     d = line - foot[:2]
     c = math.cos(foot[2])
     s = math.sin(foot[2])
-    x, y = c * d[:, 0] + s * d[:, 1], c * d[:, 1] - s * d[:, 0]
+    x = c * d[:, 0] + s * d[:, 1]
+    y = c * d[:, 1] - s * d[:, 0]
     out = np.full((len(aheads), 2), np.nan)
     for point, ahead in zip(out, aheads, strict=True):
         # A crossing is where neighbouring samples lie on different sides; between them the line is

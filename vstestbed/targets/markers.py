@@ -6,11 +6,11 @@ import math
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
-from annotated_types import Ge, Le, Len, Lt
+from annotated_types import Ge, Len, Lt
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, lengths
-from vstestbed.core.quantity import PositiveLength, TighterBounds
+from vstestbed.core.quantity import PositiveLength, Share, TighterBounds
 from vstestbed.core.registry import Registry
 from vstestbed.core.spec import spec
 
@@ -37,7 +37,6 @@ HIDDEN_M, HIDDEN = 0.002, 0.01
 """What comes between camera and marker nearer to the marker than this [m], or this share of its
 distance, does not hide it.
 """
-Share = Annotated[float, Ge(0), Le(1)]
 HueName = Literal["red", "orange", "yellow", "green", "cyan", "blue", "violet", "magenta"]
 HUES_DEG = dict(
     zip(get_args(HueName), (0.0, 30.0, 60.0, 120.0, 180.0, 240.0, 270.0, 300.0), strict=True)

@@ -6,17 +6,18 @@ from __future__ import annotations
 
 import functools
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Ge, Le, Len
+from annotated_types import Len
 from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.named_files import absolute_file, place_of_file
-from vstestbed.core.quantity import Coefficient, PositiveLength
+from vstestbed.core.quantity import Coefficient, PositiveLength, Share
 from vstestbed.core.registry import Registry
 from vstestbed.core.spec import spec
 from vstestbed.targets.base import Body, Target
@@ -45,12 +46,11 @@ def read_triangles(path: Path, written_ns: int) -> Triangles:
         raise ParameterError.unreadable(
             "file", "it has corners that are not finite", "an STL or OBJ file", str(path)
         )
-    area = np.linalg.norm(np.cross(found[:, 1] - found[:, 0], found[:, 2] - found[:, 0]), axis=1)
-    found = (
-        found[area > 1e-12 * max(float(np.ptp(found.reshape(-1, 3), axis=0).max()), 1e-30) ** 2]
-        if len(found)
-        else found
-    )
+    if len(found):
+        size = float(np.ptp(found.reshape(-1, 3), axis=0).max())
+        a, b, c = np.moveaxis(found, 1, 0)
+        area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        found = found[area > 1e-12 * max(size, 1e-30) ** 2]
     if not len(found):
         raise ParameterError.unreadable(
             "file",
@@ -70,13 +70,11 @@ def read_triangles(path: Path, written_ns: int) -> Triangles:
 
 def _stl(raw: bytes) -> Triangles:
     count = int.from_bytes(raw[80:84], "little")
-    if len(raw) >= 84 and len(raw) == 84 + 50 * count:
-        records = np.frombuffer(raw, RECORD, count, 84)
-        return records["corners"].astype(float)
+    size = 84 + 50 * count
+    if len(raw) == size:
+        return np.frombuffer(raw, RECORD, count, 84)["corners"].astype(float)
     if not raw.lstrip()[:5].lower() == b"solid":
-        raise ValueError(
-            f"as a binary STL it should have {84 + 50 * count} bytes, it has {len(raw)}"
-        )
+        raise ValueError(f"as a binary STL it should have {size} bytes, it has {len(raw)}")
     words = [
         line.split()[1:4] for line in raw.splitlines() if line.lstrip()[:6].lower() == b"vertex"
     ]
@@ -111,7 +109,10 @@ def _fan(items: list[bytes], count: int) -> list[int]:
     at = [i - 1 if i > 0 else count + i for i in numbers]
     if len(at) < 3 or min(at) < 0 or max(at) >= count:
         raise ValueError
-    return [k for i in range(1, len(at) - 1) for k in (at[0], at[i], at[i + 1])]
+    corners = []
+    for second, third in pairwise(at[1:]):
+        corners += at[0], second, third
+    return corners
 
 
 def as_stl(triangles: Triangles) -> bytes:
@@ -125,17 +126,18 @@ def nearest(triangles: Triangles, point: Array) -> tuple[Array, int]:
     """The point of triangles (F, 3, 3) nearest to a point (3,), and its triangle's number: its
     projection, or a point of an edge.
     """
-    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    a, b, c = np.moveaxis(triangles, 1, 0)
     normal = np.cross(b - a, c - a)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     flat = point - ((point - a) * normal).sum(axis=1, keepdims=True) * normal
-    edges = np.stack([_on_edge(p, q, point) for p, q in ((a, b), (b, c), (c, a))])
+    inside = np.ones(len(triangles), bool)
+    on_edges = []
+    for p, q in ((a, b), (b, c), (c, a)):
+        on_edges.append(_on_edge(p, q, point))
+        inside &= (np.cross(q - p, flat - p) * normal).sum(axis=1) >= 0
+    edges = np.stack(on_edges)
     best = np.linalg.norm(edges - point, axis=-1).argmin(axis=0)
-    found = edges[best, np.arange(len(triangles))]
-    turns = [
-        (np.cross(q - p, flat - p) * normal).sum(axis=1) >= 0 for p, q in ((a, b), (b, c), (c, a))
-    ]
-    found = np.where(np.logical_and.reduce(turns)[:, None], flat, found)
+    found = np.where(inside[:, None], flat, edges[best, np.arange(len(triangles))])
     i = int(np.linalg.norm(found - point, axis=1).argmin())
     return found[i], i
 
@@ -147,7 +149,6 @@ def _on_edge(p: Array, q: Array, point: Array) -> Array:
     return p + np.clip(share, 0, 1)[:, None] * way
 
 
-Channel = Annotated[float, Ge(0), Le(1)]
 SOLID_MARKERS = Registry("marker", Disc, Sphere, default="disc")
 
 
@@ -172,7 +173,7 @@ class MeshTarget(Target):
     at: Annotated[tuple[Annotated[tuple[Coefficient, ...], Len(3, 3)], ...], Len(1, 24)]
     marker: Annotated[Marker, SOLID_MARKERS] = Disc()
     draw_markers: bool = True
-    color: Annotated[tuple[Channel, ...], Len(3, 3)] = (0.72, 0.74, 0.77)
+    color: Annotated[tuple[Share, ...], Len(3, 3)] = (0.72, 0.74, 0.77)
 
     def __post_init__(self) -> None:
         # frozen; a run remembers where its solid is
@@ -206,24 +207,19 @@ class MeshTarget(Target):
 
     def _check_flat(self) -> None:
         angle = np.arange(12) * (2 * np.pi / 12)
-        normals = self.normals
-        for i, (p, n) in enumerate(zip(self.points, normals, strict=True)):
-            across = np.cross(n, [1.0, 0, 0] if abs(n[0]) < 0.7 else [0, 1.0, 0])
-            across /= np.linalg.norm(across)
-            rim = p + self.marker.radius * (
-                np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * np.cross(n, across)
-            )
+        radius = self.marker.radius
+        for i, (p, n) in enumerate(zip(self.points, self.normals, strict=True)):
+            u = np.cross(n, [1.0, 0, 0] if abs(n[0]) < 0.7 else [0, 1.0, 0])
+            u /= np.linalg.norm(u)
+            v = np.cross(n, u)
+            rim = p + radius * (np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * v)
             off = max(float(np.linalg.norm(nearest(self._triangles, q)[0] - q)) for q in rim)
             if off > 1e-3:
                 words = (
                     f"does not fit at marker {self.called(i)}: the surface is curved or ends there,"
-                    f" {off * 1e3:.3g} mm from"
+                    f" {off * 1e3:.3g} mm from the disc's rim; take a smaller disc, or spheres"
                 )
-                raise ParameterError(
-                    "marker.radius",
-                    f"{words} the disc's rim; take a smaller disc, or spheres",
-                    self.marker.radius,
-                )
+                raise ParameterError("marker.radius", words, radius)
 
     @cached_property
     def _triangles(self) -> Array:
@@ -263,14 +259,11 @@ class MeshTarget(Target):
         Reference: Moeller & Trumbore 1997, Fast, minimum storage ray/triangle intersection,
             doi:10.1080/10867651.1997.10487468.
         """
-        triangles = self._triangles
+        a, b, c = np.moveaxis(self._triangles, 1, 0)
         eye = T_target_camera[:3, 3]
         slack = self.marker.clearance_m(self.points - eye)
-        a, e1, e2 = (
-            triangles[:, 0],
-            triangles[:, 1] - triangles[:, 0],
-            triangles[:, 2] - triangles[:, 0],
-        )
+        e1 = b - a
+        e2 = c - a
         off = eye - a
         q = np.cross(off, e1)
         covered = np.zeros(len(self.points), bool)
@@ -281,14 +274,10 @@ class MeshTarget(Target):
             # a triangle seen edge on hides nothing
             with np.errstate(divide="ignore", invalid="ignore"):
                 det = (e1 * p).sum(axis=1)
-                u, v, t = (off * p).sum(axis=1) / det, q @ way / det, (e2 * q).sum(axis=1) / det
-                covered[i] = bool(
-                    (
-                        (u >= 0)
-                        & (v >= 0)
-                        & (u + v <= 1)
-                        & (t > 0)
-                        & (t < 1 - slack / max(reach, 1e-9))
-                    ).any()
-                )
+                u = (off * p).sum(axis=1) / det
+                v = q @ way / det
+                t = (e2 * q).sum(axis=1) / det
+                met = (u >= 0) & (v >= 0) & (u + v <= 1)
+                before = (t > 0) & (t < 1 - slack / max(reach, 1e-9))
+            covered[i] = (met & before).any()
         return covered

@@ -11,16 +11,16 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from annotated_types import Ge, Gt, Le, Len
+from annotated_types import Len
 from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.lazy import cv2, quiet
 from vstestbed.core.named_files import absolute_file, folder, place_of_file
-from vstestbed.core.quantity import Pixel, PositiveLength
+from vstestbed.core.quantity import Pixel, PositiveLength, PositiveShare, Share
 from vstestbed.core.spec import spec
-from vstestbed.targets.base import BOARD_MARGIN, Target
+from vstestbed.targets.base import BOARD_MARGIN, Target, in_plane
 
 __all__ = [
     "SHARE",
@@ -45,6 +45,7 @@ MARGIN = 16
 SHARE = 1 - 2 / MARGIN
 KINDS = (".png", ".jpg", ".jpeg")
 TEXTURE = "texture:"  # before the name of a bundled texture, in place of a file's
+Picture = NDArray[np.uint8]  # pixels (H, W, 3)
 # a PNG file, and width and height [px] of the picture that it was made of
 Texture = tuple[bytes, tuple[int, int]]
 
@@ -83,7 +84,7 @@ def place_of_picture(file: str) -> Path:
     )
 
 
-def read_rgb(path: Path) -> NDArray[np.uint8]:
+def read_rgb(path: Path) -> Picture:
     """Pixels (H, W, 3) of a PNG or JPEG file, red first, as of `decoded`,
     at the file's own size.
     """
@@ -96,7 +97,7 @@ def read_picture(path: Path, written_ns: int) -> Texture:
     return texture_of(decoded(path))
 
 
-def texture_of(image: NDArray[np.uint8]) -> Texture:
+def texture_of(image: Picture) -> Texture:
     """The texture of a picture's pixels (H, W, 3), blue first.
 
     It has a margin at its right and below that repeats the outermost pixels, of the right (lower)
@@ -105,7 +106,7 @@ def texture_of(image: NDArray[np.uint8]) -> Texture:
     height, width = image.shape[:2]
     for axis in (0, 1):
         image = _stretched(image, axis)
-    return cv2.imencode(".png", image)[1].tobytes(), (width, height)
+    return _png(image), (width, height)
 
 
 def read_tile(path: Path, albedo: float) -> Texture:
@@ -117,45 +118,52 @@ def read_tile(path: Path, albedo: float) -> Texture:
     """
     image = decoded(path)
     height, width = image.shape[:2]
-    size = tuple(min(MOST_PX, max(MARGIN, 1 << (n - 1).bit_length())) for n in (width, height))
-    if size != (width, height):
-        image = cv2.resize(
-            image, size, interpolation=cv2.INTER_AREA if size < (width, height) else cv2.INTER_CUBIC
-        )
+    sides = [min(MOST_PX, max(MARGIN, 1 << (n - 1).bit_length())) for n in (width, height)]
+    image = _resized(image, *sides)
     shaded = np.rint(image.astype(np.float32) * np.float32(albedo)).astype(np.uint8)
-    return cv2.imencode(".png", shaded)[1].tobytes(), (width, height)
+    return _png(shaded), (width, height)
 
 
 def as_png(path: Path) -> bytes:
     """A picture file as PNG, the only kind that MuJoCo reads."""
-    return cv2.imencode(".png", decoded(path))[1].tobytes()
+    return _png(decoded(path))
 
 
-def _stretched(image: NDArray[np.uint8], axis: int) -> NDArray[np.uint8]:
+def _png(image: Picture) -> bytes:
+    return cv2.imencode(".png", image)[1].tobytes()
+
+
+def _resized(image: Picture, width: int, height: int) -> Picture:
+    """An image (H, W, 3) of another size [px]; itself where it has that size."""
+    size = width, height
+    now = image.shape[1], image.shape[0]
+    if size == now:
+        return image
+    how = cv2.INTER_AREA if size < now else cv2.INTER_CUBIC
+    return np.asarray(cv2.resize(image, size, interpolation=how), np.uint8)
+
+
+def _stretched(image: Picture, axis: int) -> Picture:
     """An image (H, W, 3) made longer, so that with its margin it has a power of two of pixels along
     an axis; MOST_PX at the most.
 
     Of another number of pixels, the smaller copies of a texture are not the halves of each other,
     and what is in them is shifted.
     """
-    n = image.shape[axis]
+    shape = list(image.shape[:2])
     side = MARGIN
-    while side < MOST_PX and side * SHARE < n:
+    while side < MOST_PX and side * SHARE < shape[axis]:
         side *= 2
     edge = side // MARGIN
-    long = side - 2 * edge
-    size = (long, image.shape[0]) if axis == 1 else (image.shape[1], long)
-    if n != long:
-        image = np.asarray(
-            cv2.resize(image, size, interpolation=cv2.INTER_AREA if long < n else cv2.INTER_CUBIC),
-            np.uint8,
-        )
+    shape[axis] = side - 2 * edge
+    height, width = shape
+    image = _resized(image, width, height)
     margins = [(0, 0), (0, 0), (0, 0)]
     margins[axis] = (edge, edge)
     return np.roll(np.pad(image, margins, mode="edge"), -edge, axis)
 
 
-def whole(raw: NDArray[np.uint8]) -> bool:
+def whole(raw: Picture) -> bool:
     """Whether the chunks of a PNG end within it; True of other files. Over a chunk of claimed
     gigabytes OpenCV 5.0 hangs.
     """
@@ -170,25 +178,24 @@ def whole(raw: NDArray[np.uint8]) -> bool:
     return False
 
 
-def decoded(path: Path) -> NDArray[np.uint8]:
+def decoded(path: Path) -> Picture:
     """The pixels (H, W, 3) of a picture file, blue first, upright as its EXIF data says; what is
     transparent is white.
 
     Raises ParameterError: `file` is no picture.
     """
     raw = np.frombuffer(path.read_bytes(), np.uint8)
+    plain = None
+    full = None
+    why = "it is damaged, or another kind of file"
     try:
         with quiet():
-            plain = cv2.imdecode(raw, cv2.IMREAD_COLOR) if whole(raw) else None
-            full = (
-                cv2.imdecode(raw, cv2.IMREAD_UNCHANGED)
-                if plain is not None and raw[0] == 0x89
-                else None
-            )  # of PNG, which alone has transparency
-        why = "it is damaged, or another kind of file"
+            if whole(raw):
+                plain = cv2.imdecode(raw, cv2.IMREAD_COLOR)
+            if plain is not None and raw[0] == 0x89:  # a PNG, which alone has transparency
+                full = cv2.imdecode(raw, cv2.IMREAD_UNCHANGED)
     except cv2.error as error:  # empty, or more pixels than OpenCV reads
         plain = None
-        full = None
         why = " ".join(str(error.err).split())
     if plain is None:
         raise ParameterError.unreadable("file", why, "a PNG or JPEG file", str(path))
@@ -197,9 +204,8 @@ def decoded(path: Path) -> NDArray[np.uint8]:
         return image
     top = 255 if full.dtype == np.uint8 else 65535
     alpha = full[..., 3:].astype(np.float32) / top
-    return np.rint(
-        full[..., :3].astype(np.float32) * (255 / top) * alpha + 255 * (1 - alpha)
-    ).astype(np.uint8)
+    colour = full[..., :3].astype(np.float32) * (255 / top)
+    return np.rint(colour * alpha + 255 * (1 - alpha)).astype(np.uint8)
 
 
 @spec
@@ -236,8 +242,8 @@ class PictureTarget(Target):
     at_px: Annotated[tuple[Pixel, ...], Len(0, 24)] = ()
     draw_markers: bool = True
     lit: bool = True
-    albedo: Annotated[float, Gt(0), Le(1)] = 1.0
-    gloss: Annotated[float, Ge(0), Le(1)] = 0.0
+    albedo: PositiveShare = 1.0
+    gloss: Share = 0.0
     one_sided = True
 
     def __post_init__(self) -> None:
@@ -275,7 +281,7 @@ class PictureTarget(Target):
     def source(self) -> Path:
         return place_of_picture(self.file)
 
-    def repainted(self, change: Callable[[NDArray[np.uint8]], NDArray[np.uint8]]) -> Self:
+    def repainted(self, change: Callable[[Picture], Picture]) -> Self:
         """The same target with its picture changed: of the file's pixels (H, W, 3), red first,
         those that are drawn. `source` stays.
         """
@@ -296,11 +302,12 @@ class PictureTarget(Target):
         frame, shape (N, 3) [m].
         """
         if not self.at_px:
-            x, y = self.width / 2, self.height / 2
+            x = self.width / 2
+            y = self.height / 2
             return np.array([[-x, -y, 0], [x, -y, 0], [x, y, 0], [-x, y, 0]])
         width, height = self._texture[1]
         off = np.array(self.at_px) + 0.5 - [width / 2, height / 2]
-        return np.column_stack([off * self.width / width, np.zeros(len(off))])
+        return in_plane(off * self.width / width)
 
     @property
     def sheet(self) -> Self:

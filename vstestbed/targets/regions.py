@@ -14,11 +14,11 @@ import numpy as np
 from annotated_types import Ge, Le, Len
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array, lengths
+from vstestbed.core.geometry import Array, homogeneous, lengths
 from vstestbed.core.quantity import Angle, Length, PositiveLength
 from vstestbed.core.registry import Registry
 from vstestbed.core.spec import spec
-from vstestbed.targets.base import Body, Target
+from vstestbed.targets.base import Body, Target, in_plane
 from vstestbed.targets.markers import Outline
 
 
@@ -90,7 +90,7 @@ def distance_to_conic(C: Array, xy: Array) -> Array:
 
     Reference: Sampson 1982, doi:10.1016/0146-664X(82)90101-0.
     """
-    m = np.column_stack([xy, np.ones(len(xy))])
+    m = homogeneous(xy)
     line = m @ C
     return (line * m).sum(axis=1) / (2 * np.maximum(np.hypot(line[:, 0], line[:, 1]), 1e-300))
 
@@ -144,34 +144,41 @@ def crossing(xy: Array) -> tuple[int, int] | None:
     """Numbers of two sides of a polygon (E, 2) that meet elsewhere than neighbours do, or fold back
     onto each other; None without such.
     """
-    return next(((i, j) for i, j in combinations(range(len(xy)), 2) if _meet(xy, i, j)), None)
+    for i, j in combinations(range(len(xy)), 2):
+        if _meet(xy, i, j):
+            return i, j
+    return None
 
 
 def _meet(xy: Array, i: int, j: int) -> bool:
+    """Whether the sides i and j > i meet elsewhere than neighbours do."""
     n = len(xy)
-    a, b, c, d = xy[i], xy[(i + 1) % n], xy[j], xy[(j + 1) % n]
-    if j == i + 1 or (i == 0 and j == n - 1):
-        far, corner, near = (a, b, d) if j == i + 1 else (c, a, b)
-        return _side(far, corner, near) == 0 and float((far - corner) @ (near - corner)) >= 0
+    a, b, c, d = xy[[i, (i + 1) % n, j, (j + 1) % n]]
+    if j == i + 1:
+        return _folds(a, b, d)
+    if i == 0 and j == n - 1:
+        return _folds(c, a, b)
     # Segments on one line overlap only where their boxes do.
-    boxes_meet = (
-        np.maximum(np.minimum(a, b), np.minimum(c, d))
-        <= np.minimum(np.maximum(a, b), np.maximum(c, d))
-    ).all()
-    return bool(
-        _side(a, b, c) * _side(a, b, d) <= 0 and _side(c, d, a) * _side(c, d, b) <= 0 and boxes_meet
-    )
+    low = np.maximum(np.minimum(a, b), np.minimum(c, d))
+    high = np.minimum(np.maximum(a, b), np.maximum(c, d))
+    apart = _side(a, b, c) * _side(a, b, d) > 0 or _side(c, d, a) * _side(c, d, b) > 0
+    return not apart and bool((low <= high).all())
+
+
+def _folds(before: Array, corner: Array, after: Array) -> bool:
+    """Whether a side from a corner lies on the side before it."""
+    back = float((before - corner) @ (after - corner)) >= 0
+    return _side(before, corner, after) == 0 and back
 
 
 def _side(a: Array, b: Array, c: Array) -> float:
     """Which side of the line from a to b the point c lies on: -1, 0, 1."""
-    u, v = b - a, c - a
+    u = b - a
+    v = c - a
     cross = float(u[0] * v[1] - u[1] * v[0])
-    return (
-        0.0
-        if abs(cross) <= 1e-12 * float(np.hypot(*u) * np.hypot(*v))
-        else math.copysign(1.0, cross)
-    )
+    if abs(cross) <= 1e-12 * float(np.hypot(*u) * np.hypot(*v)):
+        return 0.0
+    return math.copysign(1.0, cross)
 
 
 def triangulated(xy: Array) -> list[tuple[int, int, int]]:
@@ -193,16 +200,15 @@ def _is_ear(xy: Array, left: list[int], k: int) -> bool:
     """Whether corner k of those that are left is convex and no other lies in the triangle with its
     neighbours.
     """
-    i, j, m = left[k - 1], left[k], left[(k + 1) % len(left)]
-    a, b, c = xy[i], xy[j], xy[m]
+    ear = [left[k - 1], left[k], left[(k + 1) % len(left)]]
+    a, b, c = xy[ear]
     if _side(a, b, c) <= 0:
         return False
-    others = xy[[n for n in left if n not in (i, j, m)]]
-    sides = [
-        (q[0] - p[0]) * (others[:, 1] - p[1]) - (q[1] - p[1]) * (others[:, 0] - p[0])
-        for p, q in ((a, b), (b, c), (c, a))
-    ]
-    return not bool(np.logical_and.reduce([side >= 0 for side in sides]).any())
+    x, y = xy[[n for n in left if n not in ear]].T
+    inside = np.ones(len(x), bool)
+    for p, q in ((a, b), (b, c), (c, a)):
+        inside &= (q[0] - p[0]) * (y - p[1]) - (q[1] - p[1]) * (x - p[0]) >= 0
+    return not inside.any()
 
 
 Corner = Annotated[tuple[Length, ...], Len(2, 2)]
@@ -282,9 +288,8 @@ class DiscFigure(Figure):
     def corners(self) -> Array:
         """A regular polygon with the disc's area, whose border is within 5e-5 of its radius."""
         n = 256
-        return (
-            self.radius * math.sqrt(2 * math.pi / (n * math.sin(2 * math.pi / n))) * unit_circle(n)
-        )
+        larger = math.sqrt(2 * math.pi / (n * math.sin(2 * math.pi / n)))
+        return self.radius * larger * unit_circle(n)
 
     def outline(self, count: int) -> Array:
         return self.radius * unit_circle(count)
@@ -345,21 +350,20 @@ def _smooth(points: Array, parts: int) -> Array:
     """`parts` points for each of the points (E, 2) on a closed curve through them (Catmull & Rom
     1974).
     """
-    before, after, beyond = (np.roll(points, k, axis=0) for k in (1, -1, -2))
+    before = np.roll(points, 1, axis=0)
+    after = np.roll(points, -1, axis=0)
+    beyond = np.roll(points, -2, axis=0)
     out = []
     for t in np.arange(parts) / parts:
-        weights = 0.5 * np.array(
+        a, b, c, d = 0.5 * np.array(
             [-t + 2 * t**2 - t**3, 2 - 5 * t**2 + 3 * t**3, t + 4 * t**2 - 3 * t**3, -(t**2) + t**3]
         )
-        out.append(
-            sum(w * p for w, p in zip(weights, (before, points, after, beyond), strict=True))
-        )
+        out.append(a * before + b * points + c * after + d * beyond)
     return np.stack(out, axis=1).reshape(-1, 2)
 
 
-BOARD_MARGIN = (
-    0.25  # the board behind a shape reaches this share of the shape's longer side beyond it
-)
+# the board behind a shape reaches this share of the shape's longer side beyond it
+BOARD_MARGIN = 0.25
 LEAST_AHEAD = 0.05  # least Z of a unit ray to the border of a flat region: 87 degrees off the axis
 LEAST_SEEN = 3  # fewest points of an outline from which a ball's place is found
 
@@ -419,8 +423,7 @@ class Shape(OneRegion):
         """Points on the outline in the target frame, shape (M, 3) [m]; of a disc those that a
         camera before it sees.
         """
-        xy = self.figure.outline(self.count)
-        return np.column_stack([xy, np.zeros(len(xy))])
+        return in_plane(self.figure.outline(self.count))
 
     @property
     def figure_corners(self) -> Array | None:
@@ -437,7 +440,7 @@ class Shape(OneRegion):
         if not np.isfinite(found).all():
             return None
         off = np.abs(distance_to_conic(conic, xy)) / math.sqrt(abs(signed_area(found)) / math.pi)
-        return np.column_stack([found, np.ones(len(found))]), off
+        return homogeneous(found), off
 
     @property
     def places(self) -> Array:
@@ -452,9 +455,9 @@ class Shape(OneRegion):
             return super().points_at(T_camera_target)
         T = T_camera_target
         radius = float(self.points[0, 0])
-        xy = ellipse_points(circle_conic(T, radius), len(self.points))
-        ray = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
-        normal, centre = T[..., :3, 2], T[..., :3, 3]
+        ray = homogeneous(ellipse_points(circle_conic(T, radius), len(self.points)))
+        normal = T[..., :3, 2]
+        centre = T[..., :3, 3]
         reach = (normal * centre).sum(axis=-1)[..., None] / (ray @ normal[..., None])[..., 0]
         ahead = centre[..., 2] > radius * np.hypot(T[..., 2, 0], T[..., 2, 1])
         return np.where(ahead[..., None, None], ray * reach[..., None], np.nan)
@@ -468,10 +471,9 @@ class Shape(OneRegion):
         corners = self.figure.corners
         if len(corners) == 3:  # MuJoCo takes no mesh of three vertices
             corners = self.figure.outline(4)
-        at = np.column_stack([corners, np.zeros(len(corners))])
         # Corners run clockwise as seen from the front, where z points away: from outside triangles
         # are counter-clockwise.
-        return at[[(a, c, b) for a, b, c in triangulated(corners)]]
+        return in_plane(corners)[[(a, c, b) for a, b, c in triangulated(corners)]]
 
     @property
     def board_half_m(self) -> tuple[float, float]:
@@ -479,9 +481,8 @@ class Shape(OneRegion):
         origin.
         """
         corners = self.figure.corners
-        x, y = (
-            np.abs(corners).max(axis=0) + BOARD_MARGIN * float(np.ptp(corners, axis=0).max())
-        ).tolist()
+        beyond = BOARD_MARGIN * float(np.ptp(corners, axis=0).max())
+        x, y = (np.abs(corners).max(axis=0) + beyond).tolist()
         return x, y
 
 
@@ -506,7 +507,7 @@ class Ball(OneRegion):
         """The circle that a camera far before it sees, in the target frame,
         shape (count, 3) [m].
         """
-        return np.column_stack([self.radius * unit_circle(self.count), np.zeros(self.count)])
+        return in_plane(self.radius * unit_circle(self.count))
 
     @property
     def places(self) -> Array:

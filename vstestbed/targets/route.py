@@ -66,7 +66,6 @@ class Route(ABC):
         A closed route is periodic; an open one continues straight beyond both ends.
         """
         way, xy, turned, bent = self.samples
-        s = np.asarray(s, dtype=float)
         # Not np.mod: the number of laps is needed for the heading, too.
         rounds = np.floor(s / self.length) if self.closed else np.zeros_like(s)
         along = s - rounds * self.length
@@ -102,9 +101,8 @@ class Route(ABC):
         # distance from the sample.
         if not self.closed or around is not None or 0 < i < len(s) - 1:
             x, y, heading, _ = self.at(s[i] + along)
-        return float(s[i] + along), float(
-            -(xy[0] - x) * np.sin(heading) + (xy[1] - y) * np.cos(heading)
-        )
+        left = -(xy[0] - x) * np.sin(heading) + (xy[1] - y) * np.cos(heading)
+        return float(s[i] + along), float(left)
 
     def beside(self, place: Array) -> float:
         """Lateral offset of a vehicle at (x, y, heading) from the route [m], positive to the left
@@ -187,21 +185,28 @@ class FigureEight(Route):
     closed = True
 
     def _local(self) -> Samples:
-        a, b = self.length_m / 2, self.width_m / 2
+        a = self.length_m / 2
+        b = self.width_m / 2
         # Arc length has no closed form here: the speed along p is integrated by trapezoids, finely,
         # and the table resampled evenly in s.
         p = np.linspace(0.0, 2 * np.pi, 20001)
-        x, y, dx, dy = a * np.sin(p), b * np.sin(2 * p), a * np.cos(p), 2 * b * np.cos(2 * p)
-        ddx, ddy = -a * np.sin(p), -4 * b * np.sin(2 * p)
+        x = a * np.sin(p)
+        y = b * np.sin(2 * p)
+        dx = a * np.cos(p)
+        dy = 2 * b * np.cos(2 * p)
+        ddx = -a * np.sin(p)
+        ddy = -4 * b * np.sin(2 * p)
         speed = np.hypot(dx, dy)
         s = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * np.diff(p))])
         heading = np.unwrap(np.arctan2(dy, dx))
+        curvature = (dx * ddy - dy * ddx) / speed**3
         even = np.linspace(0.0, s[-1], max(2, round(s[-1] / SPACING_M)) + 1)
-        columns = [np.interp(even, s, c) for c in (x, y, heading, (dx * ddy - dy * ddx) / speed**3)]
+        x, y, heading, curvature = (np.interp(even, s, c) for c in (x, y, heading, curvature))
         turn = heading[0]  # the first branch runs along x
-        c, sn = np.cos(turn), np.sin(turn)
-        xy = np.stack([c * columns[0] + sn * columns[1], -sn * columns[0] + c * columns[1]], axis=1)
-        return even, xy, columns[2] - turn, columns[3]
+        cos = np.cos(turn)
+        sin = np.sin(turn)
+        xy = np.stack([cos * x + sin * y, -sin * x + cos * y], axis=1)
+        return even, xy, heading - turn, curvature
 
 
 @spec
@@ -219,14 +224,10 @@ class Piece:
     radius_m: PositiveLength | None = None
 
     def __post_init__(self) -> None:
-        bend = self.turn_deg is not None and self.radius_m is not None
-        if bend == (self.length_m is not None) or (self.turn_deg is None) != (
-            self.radius_m is None
-        ):
-            raise ParameterError(
-                "length_m",
-                "a piece has either length_m (straight), or turn_deg and radius_m (a bend)",
-            )
+        given = [name for name, value in vars(self).items() if value is not None]
+        if given not in (["length_m"], ["turn_deg", "radius_m"]):
+            words = "a piece has either length_m (straight), or turn_deg and radius_m (a bend)"
+            raise ParameterError("length_m", words)
 
     @property
     def length_and_curvature(self) -> tuple[float, float]:

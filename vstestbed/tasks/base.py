@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -32,7 +32,7 @@ from vstestbed.robots.base import Base, Supervisor
 from vstestbed.targets import Target
 from vstestbed.targets.picture import read_rgb
 from vstestbed.tasks.frame import ImageError
-from vstestbed.tasks.judged import JudgedError, by_convergence
+from vstestbed.tasks.judged import JudgedError, Log, by_convergence
 from vstestbed.tasks.monitor import Setup, TaskMonitor
 from vstestbed.tasks.stop import Stop
 from vstestbed.vision.observe import pose_by_depth, shown_goal
@@ -223,30 +223,21 @@ class GoalPicture:
         return round_trip(JpegStream(quality=self.jpeg_quality), 1.0)(kept)
 
 
-Log = Mapping[str, Array]  # the columns of a log by name, shape (frames,) each
-
-
 class Task:
     """The task of a scenario, its `goal` block, with defaults for all but `kind` and `goal_poses`:
     one view, on any base.
     """
 
-    asks: ClassVar[str] = (
-        "view"  # The word by which a law declares that it supports such tasks (`Law.tasks`)
-    )
+    # The word by which a law declares that it supports such tasks (`Law.tasks`)
+    asks: ClassVar[str] = "view"
     # The bases of robots that can execute it
     bases: ClassVar[frozenset[Base]] = frozenset({"fixed", "planar", "floating"})
-    continuing: ClassVar[bool] = (
-        # Whether it has no goal to reach, but an error to keep within a tolerance for the whole
-        # duration
-        False
-    )
+    # Whether it has no goal to reach, but an error to keep within a tolerance until the end
+    continuing: ClassVar[bool] = False
     lands: ClassVar[bool] = False  # Whether it ends on the ground
     ends: ClassVar[Outcome] = Outcome.converged  # The outcome with which it is done
-    by_clock: ClassVar[bool] = (
-        # Whether the reference moves with time, so that `goal_poses` are points on a trajectory
-        False
-    )
+    # Whether the reference moves with time, so that `goal_poses` are points on a trajectory
+    by_clock: ClassVar[bool] = False
     needs_pose: ClassVar[bool] = False
     """Whether the law needs the target's pose itself, so that its depth source must be one that
     estimates it.
@@ -331,8 +322,11 @@ class Task:
             up = (setup.target.T_world_start @ inverse(pose) @ inverse(setup.camera.mount.T))[2, 2]
             lean = math.degrees(math.acos(max(-1.0, min(1.0, float(up)))))
             if lean > LEVEL_DEG:
-                words = f"is the view from a craft tilted by {lean:.3g} deg, and it hovers level"
-                raise ParameterError(field, f"{words}; turn the view, or camera.mount, by as much")
+                words = (
+                    f"is the view from a craft tilted by {lean:.3g} deg, and it hovers level;"
+                    " turn the view, or camera.mount, by as much"
+                )
+                raise ParameterError(field, words)
 
     def goal_pose_at(
         self, setup: Setup, poses: tuple[Array, ...], t: float, view: int
@@ -395,9 +389,8 @@ TaskBase = Task  # the name by which tasks of one's own derive from it
 def view_from(setup: Setup, pose_with: Callable[[Array], Array], number: int = 0) -> Goal:
     """The goal for the law: the view from a goal pose.
     setup: the experiment's parts. pose_with: maps a mount T_base_camera (4, 4) to T_camera_target
-    (4, 4) at the goal. Where the goal is a
-    place of the base, a wrong calibration of the mount displaces the believed goal view. number: of
-    the view, among several in turn.
+    (4, 4) at the goal: where the goal is a place of the base, a wrong calibration of the mount
+    displaces the believed goal view. number: of the view, among several in turn.
     """
     target = setup.target
     believed = setup.believed_camera

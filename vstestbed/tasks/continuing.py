@@ -20,9 +20,8 @@ from vstestbed.tasks.judged import JudgedError, at_worst
 from vstestbed.tasks.monitor import Setup, TaskMonitor, is_over
 from vstestbed.tasks.stop import Stop
 
-WINDOW_S = (
-    2.0  # window of the mean speed [s]: longer than a start from standstill takes (.6 s to .8 m/s)
-)
+# window of the mean speed [s]: longer than a start from standstill takes (.6 s to .8 m/s)
+WINDOW_S = 2.0
 STEADY = 0.8
 """Least share of a commanded speed. Measured: steady driving .98 and more, a straight approach to a
 line at 25 degrees .91, a start within the first two seconds .87.
@@ -37,6 +36,10 @@ Odometer = Callable[[Array, Array], tuple[float, ...]]
 """Distances so far [m] of the vehicles under a minimum speed, in their order, with vehicle and
 target now at these true poses (4, 4).
 """
+
+
+LeastSpeeds = tuple[tuple[MinSpeed, ...], Odometer | None]
+"""Minimum speeds, and what measures them."""
 
 
 class SpeedMonitor:
@@ -99,7 +102,7 @@ class Continuing(Task):
         """True task error at a time t [s], [m]."""
         raise NotImplementedError
 
-    def least_speeds(self, setup: Setup) -> tuple[tuple[MinSpeed, ...], Odometer | None]:
+    def least_speeds(self, setup: Setup) -> LeastSpeeds:
         """Minimum speeds, and the odometer that measures them; by default none."""
         return (), None
 

@@ -22,7 +22,7 @@ from vstestbed.tasks.continuing import (
     FOLLOWS,
     STEADY,
     Continuing,
-    MinSpeed,
+    LeastSpeeds,
     Odometer,
     Settle,
     Tolerance,
@@ -86,22 +86,18 @@ class GoalGap(Continuing):
         if np.abs(p[0, :2]).max() > ONE_PLACE_M:
             words = (
                 "has its points at one place of the floor plan, which does not tell its heading, so"
-                " that its origin, to which the gap"
-            )
-            remedy = (
-                "is measured, stays unknown;"
+                " that its origin, to which the gap is measured, stays unknown;"
                 " use x = y = 0 there and put the place into target.pose, or add a point beside it"
             )
-            raise ParameterError("target", f"{words} {remedy}")
+            raise ParameterError("target", words)
         height = p[:, 2] + target.pose.xyz[2] - camera.mount.xyz[2]
         if np.abs(height).max() <= LEVEL * (self.gap_m + abs(camera.mount.xyz[0])):
             words = (
                 "has its points at the camera's own height,"
-                " where their images do not determine their distance"
+                " where their images do not determine their distance;"
+                " mount the camera higher or lower, or add a point beside it"
             )
-            raise ParameterError(
-                "target", f"{words}; mount the camera higher or lower, or add a point beside it"
-            )
+            raise ParameterError("target", words)
 
     def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
         """Nothing: the goal is a distance, not a view,
@@ -122,7 +118,7 @@ class GoalGap(Continuing):
         """Distance minus gap: positive when too far."""
         return math.dist(T_world_base[:2, 3], T_world_target[:2, 3]) - self.gap_m
 
-    def least_speeds(self, setup: Setup) -> tuple[tuple[MinSpeed, ...], Odometer | None]:
+    def least_speeds(self, setup: Setup) -> LeastSpeeds:
         # Without them a run could be completed behind a leader that is stuck, or by a follower that
         # stands while the leader circles it.
         if setup.target.carrier is None:
@@ -190,12 +186,10 @@ class GoalLine(Continuing):
         if tightest * robot.turning_radius_m > 1:
             words = (
                 f"has a bend of {1 / tightest:.3g} m where the vehicle shall drive,"
-                " which turns no tighter than"
+                f" which turns no tighter than {robot.turning_radius_m:.3g} m;"
+                " make it wider, or use robot omni"
             )
-            raise ParameterError(
-                "target.route",
-                f"{words} {robot.turning_radius_m:.3g} m; make it wider, or use robot omni",
-            )
+            raise ParameterError("target.route", words)
         if law.cruise_mps is None:
             return
         most = min(robot.top_speed_mps, law.limits.speed_mps or np.inf)
@@ -208,11 +202,10 @@ class GoalLine(Continuing):
         camera = setup.camera
         if not camera.inside(views[-1].uv).all():
             words = (
-                f"are outside the {camera.width} x {camera.height} picture even where all is well"
+                f"are outside the {camera.width} x {camera.height} picture even where all is well;"
+                " turn the camera, or use a wider one or other distances"
             )
-            raise ParameterError(
-                "target.look_m", f"{words}; turn the camera, or use a wider one or other distances"
-            )
+            raise ParameterError("target.look_m", words)
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
         """NaN: the goal is no single pose, but any place along the line."""
@@ -234,7 +227,7 @@ class GoalLine(Continuing):
         here = place_of(inverse(T_world_target) @ T_world_base)
         return _lines(setup.target).route.beside(here) - self.offset_m
 
-    def least_speeds(self, setup: Setup) -> tuple[tuple[MinSpeed, ...], Odometer | None]:
+    def least_speeds(self, setup: Setup) -> LeastSpeeds:
         v = setup.law.cruise_mps
         odometer = along_route(_lines(setup.target).route)
         return () if v is None else (("the vehicle, along its line,", v, STEADY * v),), odometer

@@ -27,8 +27,8 @@ class FrameTiming(NamedTuple):
     """Times of one frame.
 
     Attributes:
-        number: counts frames from 0. t: time of exposure [s]; in a cycle by the picture's stamp, in
-            a frame the true one.
+        number: counts frames from 0.
+        t: time of exposure [s]; in a cycle by the picture's stamp, in a frame the true one.
         t_cmd: when its command reaches the robot [s].
         own: values of the columns that only runs with errors of stamps and links have
             (`Timing.columns`); None without them.
@@ -44,7 +44,8 @@ class ImageError(NamedTuple):
     """The image error of one frame.
 
     Attributes:
-        lost: the law had no measurement to work with. all_seen: every marker that counts is seen.
+        lost: the law had no measurement to work with.
+        all_seen: every marker that counts is seen.
         rms_px: RMS of goal minus measured over the coordinates seen [px], NaN when lost, and
             without markers.
     """
@@ -72,9 +73,9 @@ class ImageError(NamedTuple):
         # A law may command motion although it sees nothing (coasting), and one that works on whole
         # pictures needs no marker.
         lost = bool(rest_reason) or not (error.size or seen.image is not None or by_others)
-        return cls(
-            lost, all_seen, math.nan if lost or not error.size else math.sqrt(squares / error.size)
-        )
+        if lost or not error.size:
+            return cls(lost, all_seen, math.nan)
+        return cls(lost, all_seen, math.sqrt(squares / error.size))
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,9 +84,12 @@ class Cycle:
     knows, and nothing else.
 
     Attributes:
-        timing: number and times. observation: the law's measurement. goal: its reference.
-        error: in the image. command: of the law. allocation: the command within the robot's limits,
-            whatever is ordered.
+        timing: number and times.
+        observation: the law's measurement.
+        goal: its reference.
+        error: in the image.
+        command: of the law.
+        allocation: the command within the robot's limits, whatever is ordered.
         order: what the robot is ordered: that, or what its supervisor has put in its place.
         notes: what was unusual about the picture's time, or that pictures do not change, in words
             (`Controller.step`).
@@ -141,10 +145,12 @@ class CameraRecord(NamedTuple):
     """What a further camera showed last, for the log and for films.
 
     Attributes:
-        t: time of its exposure [s]. uv, depth: markers as measured (N, 2) [px], (N,) [m]. goal_uv:
-            where the law wants them in its picture (N, 2) [px], NaN where it wants them nowhere.
-        p_camera: true markers in its frame then (N, 3) [m]. T_world_camera: its true pose then (4,
-            4).
+        t: time of its exposure [s].
+        uv, depth: markers as measured (N, 2) [px], (N,) [m].
+        goal_uv: where the law wants them in its picture (N, 2) [px], NaN where it wants them
+            nowhere.
+        p_camera: true markers in its frame then (N, 3) [m].
+        T_world_camera: its true pose then (4, 4).
         image: its picture (H, W, 3) uint8 RGB, valid until its next one; None where none was taken,
             or only part of it drawn.
     """
@@ -186,9 +192,10 @@ class Frame(Cycle):
         """The same frame with its arrays read-only, but for the picture: the log keeps them, and
         who wrote to one would change a row.
         """
-        parts = self.observation, self.goal, self.command, self.allocation
-        values = (getattr(part, name) for part in parts for name in part.__dataclass_fields__)
-        for value in (*values, *self.order, *self.truth, self.row):
+        values = [*self.order, *self.truth, self.row]
+        for part in (self.observation, self.goal, self.command, self.allocation):
+            values += [getattr(part, name) for name in part.__dataclass_fields__]
+        for value in values:
             if isinstance(value, np.ndarray):
                 value.setflags(write=False)
         return self

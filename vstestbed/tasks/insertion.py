@@ -211,10 +211,10 @@ class GoalInsertion(Task):
         """Depth reached [m], the largest force on the plug,
         and its mean over the last second [N].
         """
-        depth, force = log["insertion_m"], log[FORCE_COLUMN]
+        force = log[FORCE_COLUMN]
         last = force[log["t"] > log["t"][-1] - 1.0]
         return {
-            "insertion_m": float(depth[-1]),
+            "insertion_m": float(log["insertion_m"][-1]),
             "largest_force_n": float(np.nanmax(force)),
             "final_force_n": float(np.nanmean(last)),
         }
@@ -240,7 +240,9 @@ class InsertionMonitor(TaskMonitor):
         self._goal = goal
         self._socket = setup.target.socket
         self._depth = goal.depth_in(setup.target)
-        names = [name for effect in setup.robot.acting for name in effect.columns]
+        names = list[str]()
+        for effect in setup.robot.acting:
+            names += effect.columns
         self._force = names.index(FORCE_COLUMN)
         assert isinstance(setup.robot, Arm) and setup.robot.tool is not None
         self._tip = np.array([0.0, 0.0, setup.robot.tool.length])  # the true one

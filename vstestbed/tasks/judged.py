@@ -18,6 +18,7 @@ from vstestbed.tasks.stop import Converged, Stop
 __all__ = [
     "MEASURED_BY",
     "JudgedError",
+    "Log",
     "Reward",
     "RewardKind",
     "at_the_end",
@@ -30,6 +31,7 @@ __all__ = [
     "potential",
 ]
 
+Log = Mapping[str, Array]  # the columns of a log by name, shape (frames,) each
 By = Literal["pixels", "level pixels", "grey levels", "estimate", "truth"]
 MEASURED_BY: dict[By, str] = {
     "pixels": "measured pixels",
@@ -54,8 +56,9 @@ class JudgedError(NamedTuple):
 
     Attributes:
         value: at the end of the run, in `unit`; NaN where it is unknown.
-        unit: px, grey levels, m, rad, or m/s (the speed of a touch-down). limit: the task is
-            reached under it. by: who measured it.
+        unit: px, grey levels, m, rad, or m/s (the speed of a touch-down).
+        limit: the task is reached under it.
+        by: who measured it.
     """
 
     value: float
@@ -74,22 +77,23 @@ class JudgedError(NamedTuple):
         }
 
 
-def by_convergence(log: Mapping[str, Array], converged: Converged) -> JudgedError:
+def by_convergence(log: Log, converged: Converged) -> JudgedError:
     """The error that `stop.converged` tests at the end of a run; of several, the one that is
     largest compared with its limit.
     """
+    angle = converged.rotation_deg
     conditions: list[tuple[float | None, str, Unit, By]] = [
-        (converged.error_px, "error_px", "px", "pixels"),
         (converged.error_grey, "error_grey", "grey levels", "grey levels"),
         (converged.position_m, "est_position_m", "m", "estimate"),
-        (converged.rotation_deg, "est_rotation_rad", "rad", "estimate"),
+        (None if angle is None else math.radians(angle), "est_rotation_rad", "rad", "estimate"),
     ]
     if "level_error_px" in log:
-        conditions[0] = converged.error_px, "level_error_px", "px", "level pixels"
+        conditions.insert(0, (converged.error_px, "level_error_px", "px", "level pixels"))
+    else:
+        conditions.insert(0, (converged.error_px, "error_px", "px", "pixels"))
     found = []
     for limit, column, unit, by in conditions:
         if limit is not None:
-            limit = math.radians(limit) if unit == "rad" else limit
             found.append(JudgedError(_last(log, column), unit, limit, by))
     return largest(found)
 
@@ -101,21 +105,19 @@ def largest(errors: Iterable[JudgedError]) -> JudgedError:
     return max(errors, key=lambda e: math.inf if math.isnan(e.value) else e.value / e.limit)
 
 
-def at_worst(log: Mapping[str, Array], column: str, limit: float, settle_s: float) -> JudgedError:
+def at_worst(log: Log, column: str, limit: float, settle_s: float) -> JudgedError:
     """The largest magnitude of a true error [m] from settle_s [s] on."""
     settled = np.abs(log[column][log["t"] >= settle_s])
     return JudgedError(float(settled.max()) if len(settled) else math.nan, "m", limit, "truth")
 
 
-def at_the_end(
-    log: Mapping[str, Array], column: str, limit: float, unit: Literal["m", "m/s"] = "m"
-) -> JudgedError:
+def at_the_end(log: Log, column: str, limit: float, unit: Literal["m", "m/s"] = "m") -> JudgedError:
     """A true error in the last frame."""
     return JudgedError(_last(log, column), unit, limit, "truth")
 
 
 def in_a_frame(
-    judged: Callable[[Mapping[str, Array], Stop], JudgedError],
+    judged: Callable[[Log, Stop], JudgedError],
     stop: Stop,
     values: Mapping[str, float],
 ) -> JudgedError:
@@ -127,7 +129,7 @@ def in_a_frame(
     return judged(frame | {"t": np.array([np.inf])}, stop)
 
 
-def _last(log: Mapping[str, Array], column: str) -> float:
+def _last(log: Log, column: str) -> float:
     return float(log[column][-1]) if len(log["t"]) else math.nan
 
 

@@ -83,7 +83,8 @@ class GoalLanding(Task):
         T[:3, 3] = 0.0
         # the base in the target's frame, whose z points down
         below_m = float(inverse(setup.camera.mount.T @ T)[2, 3])
-        T[:3, 3] = ((setup.robot.body.standing_m if setup.robot.body else 0.0) + below_m) * T[:3, 2]
+        standing_m = setup.robot.body.standing_m if setup.robot.body else 0.0
+        T[:3, 3] = (standing_m + below_m) * T[:3, 2]
         return T
 
     def begin(self, setup: Setup, views: tuple[Goal, ...]) -> Descent:
@@ -139,7 +140,9 @@ class GoalLanding(Task):
         """
         away = at_the_end(log, "task_error_m", self.pad_m)
         speed = at_the_end(log, "touch_mps", self.touch_mps, "m/s")
-        return largest([away] if math.isnan(speed.value) else [away, speed])
+        if math.isnan(speed.value):
+            return away
+        return largest([away, speed])
 
 
 class LandingMonitor(TaskMonitor):

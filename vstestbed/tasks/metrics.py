@@ -11,10 +11,9 @@ from numbers import Real
 from typing import Annotated, Any, ClassVar, Literal, Protocol
 
 import numpy as np
-from annotated_types import Gt, Le
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.quantity import Bounded
+from vstestbed.core.quantity import Bounded, PositiveShare
 from vstestbed.core.registry import Contract, Registry
 from vstestbed.core.spec import spec
 from vstestbed.tasks.base import Log
@@ -41,6 +40,7 @@ __all__ = [
 
 ERRORS = ("position_error_m", "rotation_error_rad")
 Figures = dict[str, object]
+Titles = Mapping[str, tuple[str, str]]  # title and unit of each figure, by its name
 QUATERNION = ("cam_qw", "cam_qx", "cam_qy", "cam_qz")
 LEAST = 1e-9  # a start nearer to its goal than this has no share [m, rad]: rounding
 
@@ -59,8 +59,8 @@ class StartShares:
     """
 
     kind: Literal["start_shares"] = "start_shares"
-    share: Annotated[float, Gt(0), Le(1)] = 0.1
-    titles: ClassVar[Mapping[str, tuple[str, str]]] = {
+    share: PositiveShare = 0.1
+    titles: ClassVar[Titles] = {
         "position_share": ("Distance at the end over that at the start", ""),
         "rotation_share": ("Angle at the end over that at the start", ""),
         "pictures_to_share": ("Pictures until both are small for good", ""),
@@ -342,7 +342,7 @@ class ErrorIntegrals:
     """
 
     kind: Literal["error_integrals"] = "error_integrals"
-    titles: ClassVar[Mapping[str, tuple[str, str]]] = {
+    titles: ClassVar[Titles] = {
         "iae_px_s": ("Integral of the error", "px s"),
         "ise_px2_s": ("Integral of the squared error", "px² s"),
         "itae_px_s2": ("Integral of time times error", "px s²"),
@@ -350,10 +350,9 @@ class ErrorIntegrals:
 
     def figures(self, log: Log, setup: Setup) -> Figures:
         """See `MetricContract`; undefined for a target that was never seen."""
-        t = np.asarray(log["t"], dtype=float)
-        e = np.asarray(log["error_px"], dtype=float)
-        t = t[np.isfinite(e)]
-        e = e[np.isfinite(e)]
+        known = np.isfinite(log["error_px"])
+        t = log["t"][known]
+        e = log["error_px"][known]
         found = [float(np.trapezoid(y, t)) for y in (e, e * e, t * e)] if len(e) else [None] * 3
         return dict(zip(self.titles, found, strict=True))
 
@@ -368,7 +367,7 @@ class CommandVariation:
     """
 
     kind: Literal["command_variation"] = "command_variation"
-    titles: ClassVar[Mapping[str, tuple[str, str]]] = {
+    titles: ClassVar[Titles] = {
         "command_variation_mps": ("Total variation of the commanded velocity", "m/s"),
         "command_variation_radps": ("Total variation of the commanded rate", "rad/s"),
     }
@@ -396,7 +395,7 @@ class ErrorGrowth:
 
     kind: Literal["error_growth"] = "error_growth"
     least: Annotated[float, Bounded(0.0, 1.0, "", "a share of the largest error")] = 1e-4
-    titles: ClassVar[Mapping[str, tuple[str, str]]] = {
+    titles: ClassVar[Titles] = {
         "image_error_growth_frames": ("Frames in which the image error grew", ""),
         "position_error_growth_frames": ("Frames in which the position error grew", ""),
         "rotation_error_growth_frames": ("Frames in which the rotation error grew", ""),

@@ -48,7 +48,10 @@ class _Views(Task):
         return getattr(self, self.listed)
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
-        return tuple(pose for view in self._each for pose in view.goal_poses(target, mount))
+        poses = list[Array]()
+        for view in self._each:
+            poses += view.goal_poses(target, mount)
+        return tuple(poses)
 
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
         goals = []
@@ -155,9 +158,9 @@ class GoalPath(_Views, Continuing):  # pyright: ignore[reportIncompatibleVariabl
         """Velocity of the reference camera at t + lead_s,
         in its frame at time t (6,) [m/s, rad/s].
         """
-        before, after = (
-            inverse(self.at(t + self.lead_s + h)[0]) for h in (-DIFFERENCE_S, DIFFERENCE_S)
-        )
+        then = t + self.lead_s
+        before = inverse(self.at(then - DIFFERENCE_S)[0])
+        after = inverse(self.at(then + DIFFERENCE_S)[0])
         # Ahead in time, since the craft lags, but in the axes of the camera now, in which the law
         # commands.
         back = inverse(self.at(t)[0])[:3, :3].T
@@ -181,10 +184,9 @@ class GoalPath(_Views, Continuing):  # pyright: ignore[reportIncompatibleVariabl
             # The part of this leg within the window, by travelled shares; a leg of pure rotation
             # has no length to divide by.
             a = self._ways[leg][:3, 3]
-            along = self._ways[leg + 1][:3, 3] - self._ways[leg][:3, 3]
-            low, high = (
-                _smooth(np.clip((when - began) / (ended - began), 0, 1)) for when in (first, last)
-            )
+            along = self._ways[leg + 1][:3, 3] - a
+            low = _smooth(np.clip((first - began) / (ended - began), 0, 1))
+            high = _smooth(np.clip((last - began) / (ended - began), 0, 1))
             share = np.clip((x - a) @ along / max(along @ along, 1e-12), low, high)
             nearest = min(nearest, float(np.linalg.norm(x - a - share * along)))
         return nearest
@@ -278,7 +280,7 @@ class GoalViews(_Views):
 
     @property
     def pictures(self) -> tuple[GoalPicture, ...]:
-        return tuple(picture for view in self.views for picture in view.pictures)
+        return tuple(view.picture for view in self.views)
 
     def begin(self, setup: Setup, views: tuple[Goal, ...]) -> Passage:
         return Passage(setup, views)
@@ -302,8 +304,8 @@ class GoalViews(_Views):
 
     def _leg(self, state: Passage, mount: Array) -> tuple[Array, Array]:
         """T_target_camera (4, 4) of the view before the current one, and of the current one."""
-        a, b = self.goal_poses(state.setup.target, mount)[state.view - 1 : state.view + 1]
-        return inverse(a), inverse(b)
+        poses = self.goal_poses(state.setup.target, mount)
+        return inverse(poses[state.view - 1]), inverse(poses[state.view])
 
     def _leg_s(self, state: Passage) -> float:
         """Duration of the goal's way to the current view [s]."""

@@ -54,10 +54,8 @@ class GoalView(Task):
         if self.markers is None:
             return views
         numbers = [setup.target.number(marker) for marker in self.markers]
-        return tuple(
-            replace(view, counted=np.isin(np.arange(len(setup.target.points)), numbers))
-            for view in views
-        )
+        counted = np.isin(np.arange(len(setup.target.points)), numbers)
+        return tuple(replace(view, counted=counted) for view in views)
 
     def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
         self.check_counted(setup, "goal.markers")
@@ -73,9 +71,8 @@ class GoalView(Task):
             )
         robot = setup.robot
         n = len(setup.target.points)
-        needed = setup.law.markers_needed(
-            robot.motion_basis(Mount.of(setup.camera.mount.T), robot.start_joints())
-        )
+        basis = robot.motion_basis(Mount.of(setup.camera.mount.T), robot.start_joints())
+        needed = setup.law.markers_needed(basis)
         numbers = [setup.target.number(marker) for marker in self.markers]
         if not 0 <= min(numbers) <= max(numbers) < n:
             names = setup.target.names
@@ -158,14 +155,9 @@ class GoalPlace(Task):
             )
             raise ParameterError("stop.converged", words)
         if near is not None and law.rest_m >= near:
+            limit = f"stop.converged.position_m = {near:g} m"
             why = "nearer than rest_m the vehicle stands for good"
-            raise ParameterError.bound(
-                "law.rest_m",
-                "under",
-                f"stop.converged.position_m = {near:g} m",
-                law.rest_m,
-                why=why,
-            )
+            raise ParameterError.bound("law.rest_m", "under", limit, law.rest_m, why=why)
 
     def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
         """Nothing: the goal is a place, and markers may be out of the picture there."""
