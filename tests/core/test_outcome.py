@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_hex
 
 import vstestbed as vs
 from vstestbed.core.errors import ParameterError
@@ -39,9 +40,9 @@ def test_the_guide_says_who_decides_each_outcome() -> None:
     assert listed == NAMES
 
 
-def test_a_map_of_convergence_has_a_letter_for_each_failure() -> None:
-    assert set(figures.LETTERS) == FAILED
-    assert len(set(figures.LETTERS.values())) == len(FAILED)
+def test_each_failure_has_a_letter_of_its_own_for_maps_of_convergence() -> None:
+    letters = [vs.Outcome[name].letter for name in FAILED]
+    assert all(letters) and len(set(letters)) == len(FAILED)
 
 
 def test_the_letters_that_a_map_shows_are_those_that_its_caption_explains(tmp_path: Path) -> None:
@@ -56,25 +57,25 @@ def test_a_map_of_basins_names_each_outcome_that_occurs() -> None:
     """Those without a colour of their own are black, with their name in the legend; so would be one
     that is not there yet.
     """
-    # the one word of the map that is half of an outcome
-    assert set(figures.ENDINGS) - {"plane_crossed"} <= FAILED
-    occurring = sorted({*FAILED, "plane_crossed", "petrified"})
+    occurring = sorted({*FAILED, figures.PLANE_CROSSED, "petrified"})
     endings = np.array([occurring], dtype=object)
-    drawn = figures.draw_basin(
-        [("law", endings, np.full(endings.shape, np.nan))], ("x", "m", -1, 1), ("y", "m", -1, 1)
-    )
-    shown = {text.get_text() for text in drawn.legends[0].get_texts()}
-    named = {
-        figures.ENDINGS[word][1] if word in figures.ENDINGS else word.replace("_", " ")
-        for word in occurring
+    time_s = np.full(endings.shape, np.nan)
+    drawn = figures.draw_basin([("law", endings, time_s)], ("x", "m", -1, 1), ("y", "m", -1, 1))
+    patches = drawn.legends[0].get_patches()
+    texts = drawn.legends[0].get_texts()
+    shown = {
+        text.get_text(): to_hex(patch.get_facecolor())
+        for text, patch in zip(texts, patches, strict=True)
     }
-    assert shown == named
+    assert shown == {figures.label_of(word): figures.colour_of(word) for word in occurring}
+    assert shown["unstable"] == "#4f7a1e" and shown["petrified"] == "#000000"
 
 
 def test_an_outcome_of_a_plugin_is_one_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(type(vs.Outcome), "_known", dict(vs.Outcome.__members__))
     overheated = vs.Outcome("overheated", "a motor grew too hot", letter="V", colour="#c22f2f")
     assert vs.Outcome["overheated"] is vs.Outcome.overheated is overheated
+    assert figures.colour_of("overheated") == "#c22f2f"
     assert overheated in list(vs.Outcome) and not overheated.success
     # of a plugin that is imported again, and in a worker's answer
     assert vs.Outcome("overheated", "a motor grew too hot", letter="V", colour="#c22f2f") is (

@@ -54,10 +54,8 @@ class _Outcomes(type):
         return len(cls._known)
 
 
-# The colours differ in lightness as well as in hue (after Okabe & Ito 2008), so that colour-blind
-# readers can distinguish them, also in a grey print; blues are of the converged.
 # eq=False: compared by identity, which workers keep
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Outcome(metaclass=_Outcomes):
     """How a run ended.
 
@@ -77,16 +75,24 @@ class Outcome(metaclass=_Outcomes):
     letter: str = ""
     colour: str = "#000000"
 
+    def __repr__(self) -> str:
+        return f"<Outcome.{self.name}: {self.value!r}>"
+
     def __reduce__(self) -> tuple[object, ...]:
         return Outcome, astuple(self)
 
 
 Verdict = tuple[Outcome, str]  # an outcome with its reason, in words
 
+# The colours differ in lightness as well as in hue (after Okabe & Ito 2008), so that colour-blind
+# readers can distinguish them, also in a grey print; blues are of the converged.
 Outcome("converged", "the goal was reached and held", success=True)
 Outcome("completed", "the task was kept in its band for the whole duration", success=True)
 Outcome("landed", "the craft touched down on its pad", success=True)
 Outcome("inserted", "the plug sits in its socket", success=True)
+Outcome("target_lost", "the target was out of sight for too long", letter="L", colour="#f3c04b")
+Outcome("local_minimum", "the law orders rest away from the goal", letter="M", colour="#a0287a")
+Outcome("diverged", "the camera left for the far distance", letter="D", colour="#33150a")
 Outcome(
     "timed_out",
     "the time ran out before the goal was reached",
@@ -101,20 +107,17 @@ Outcome(
     letter="U",
     colour="#4f7a1e",
 )
-Outcome("target_lost", "the target was out of sight for too long", letter="L", colour="#f3c04b")
+Outcome("unreachable", "the robot cannot stand where the run would begin", letter="R")
+Outcome("crashed", "the simulation became unstable", letter="C")
 Outcome("joint_limit", "a joint stood at its limit and the law asked for more", letter="J")
 Outcome(
     "singular",
     "the robot stood at a singular configuration and the law asked for a motion it cannot make",
     letter="S",
 )
-Outcome("local_minimum", "the law orders rest away from the goal", letter="M", colour="#a0287a")
-Outcome("diverged", "the camera left for the far distance", letter="D", colour="#33150a")
 Outcome("collided", "the robot touched something", letter="H")
 Outcome("overturned", "the craft tilted by more than 60 degrees", letter="O")
 Outcome("jammed", "the plug stuck before its depth", letter="P")
 Outcome("rotor_limit", "a rotor stood at its limit for too long", letter="W")
 Outcome("law_failed", "the law failed, and the robot was stopped", letter="F")
-Outcome("crashed", "the simulation became unstable", letter="C")
-Outcome("unreachable", "the robot cannot stand where the run would begin", letter="R")
 Outcome("interrupted", "the run was interrupted", letter="I")

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from vstestbed.core.files import make_folder
 from vstestbed.core.geometry import Array
+from vstestbed.core.outcome import Outcome
 from vstestbed.report.canvas import new_figure, panels, publish, style
 from vstestbed.report.marks import FAILED, GOAL, INK, LINE_COLORS, Look, number
 from vstestbed.report.pages import NO_CELL, Cell, data_url, write_page
@@ -41,20 +42,32 @@ __all__ = [
 # Basins of attraction as a figure: the colour shows the outcome of a start, the shade its time to
 # converge.
 BasinAxis = tuple[str, str, float, float]  # Name, unit, low, high
-ENDINGS = {
-    "target_lost": ("#f3c04b", "target out of sight"),
-    "plane_crossed": ("#d55e00", "behind the target's plane"),
-    "local_minimum": ("#a0287a", "local minimum"),
-    "diverged": ("#33150a", "diverged"),
-    "unstable": ("#4f7a1e", "unstable"),
-    "timed_out": ("#9c9c9c", "timed out"),
-}
-"""Colour and name of each failure. The colours differ in lightness as well as in hue (after Okabe &
-Ito 2008), so that colour-blind readers can distinguish them, also in a grey print; blues are
-reserved for the converged.
-"""
-OTHER = "#000000"
-"""Colour of any other outcome."""
+# half of an outcome, which a batch tells apart: the camera is behind its target
+PLANE_CROSSED = "plane_crossed"
+PLANE_COLOUR, OTHER_COLOUR = "#d55e00", "#000000"
+LABELS = {"target_lost": "target out of sight", PLANE_CROSSED: "behind the target's plane"}
+"""Words of a legend, where they are not those of the outcome."""
+
+
+def failures() -> list[str]:
+    """How the starts of a map may fail, by name, in the order of legends."""
+    first, *others = [outcome.name for outcome in Outcome if not outcome.success]
+    return [first, PLANE_CROSSED, *others]
+
+
+def colour_of(ending: str) -> str:
+    """The colour of a failure by its name; black for one that no outcome has."""
+    if ending == PLANE_CROSSED:
+        return PLANE_COLOUR
+    known = Outcome.__members__.get(ending)
+    return OTHER_COLOUR if known is None else known.colour
+
+
+def label_of(ending: str) -> str:
+    """A failure in the words of a legend."""
+    return LABELS.get(ending, ending.replace("_", " "))
+
+
 # Blues (r, g, b) of the earliest and the latest starts to converge
 SOON, LATE = np.array([0.86, 0.94, 1.0]), np.array([0.02, 0.22, 0.42])
 PANEL_IN, BASIN_COLUMNS = 2.0, 5
@@ -74,10 +87,10 @@ def colours(one: BasinMap, soonest: float, latest: float) -> Array:
     picture = np.where(
         np.isfinite(share)[..., None],
         SOON + np.nan_to_num(share)[..., None] * (LATE - SOON),
-        to_rgb(OTHER),
+        to_rgb(OTHER_COLOUR),
     )
-    for ending, (colour, _) in ENDINGS.items():
-        picture[endings == ending] = to_rgb(colour)
+    for ending in failures():
+        picture[endings == ending] = to_rgb(colour_of(ending))
     return picture
 
 
@@ -118,13 +131,14 @@ def draw_basin(maps: Sequence[BasinMap], x: BasinAxis, y: BasinAxis) -> Figure:
 
 
 def _outcome_patches(maps: Sequence[BasinMap]) -> list[Patch]:
-    """Entries of the legend for the outcomes that occur, those without a colour last."""
+    """Entries of the legend for the failures that occur."""
     from matplotlib.patches import Patch
 
     present = {str(ending) for _, endings, _ in maps for ending in np.unique(endings.astype(str))}
-    known = [Patch(color=color, label=name) for e, (color, name) in ENDINGS.items() if e in present]
-    others = sorted(present - {"converged", *ENDINGS})
-    return known + [Patch(color=OTHER, label=ending.replace("_", " ")) for ending in others]
+    present -= {outcome.name for outcome in Outcome if outcome.success}
+    known = [ending for ending in failures() if ending in present]
+    endings = known + sorted(present.difference(known))
+    return [Patch(color=colour_of(ending), label=label_of(ending)) for ending in endings]
 
 
 def write_basin(
@@ -183,7 +197,7 @@ def _fixed_coordinates(summaries: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _basin_table(summaries: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
-    endings = ["converged", *ENDINGS]
+    endings = ["converged", *failures()]
     endings += sorted({e for s in summaries for e in s["shares"]} - set(endings))
     endings = [e for e in endings if any(s["shares"].get(e) for s in summaries)]
     lines = []
@@ -202,24 +216,6 @@ def _basin_table(summaries: Sequence[Mapping[str, Any]]) -> tuple[list[str], lis
 
 # Convergence maps as a figure: the share of seeds that converged in each cell, and how most of the
 # others ended.
-LETTERS = {
-    "target_lost": "L",
-    "local_minimum": "M",
-    "diverged": "D",
-    "timed_out": "T",
-    "unstable": "U",
-    "unreachable": "R",
-    "crashed": "C",
-    "joint_limit": "J",
-    "singular": "S",
-    "collided": "H",
-    "overturned": "O",
-    "jammed": "P",
-    "rotor_limit": "W",
-    "law_failed": "F",
-    "interrupted": "I",
-}
-"""Letter of the most frequent outcome of a cell's failures: each has one."""
 NONE, ALL = np.array([0.96, 0.93, 0.88]), np.array([0.05, 0.36, 0.62])
 """Colours (r, g, b) of cells in which no seed and in which every seed converged; those between are
 mixed linearly.
@@ -246,7 +242,8 @@ def draw_sweep(maps: Sequence[ConvergenceMap], x: SweepAxis, y: SweepAxis) -> Fi
         colors = np.where(np.isnan(shares)[..., None], 1.0, NONE + shares[..., None] * (ALL - NONE))
         axes.imshow(colors, origin="lower", aspect="auto")
         for (i, j), share in np.ndenumerate(shares):
-            letter = LETTERS.get(str(others[i, j]), "") if share < 1 else ""
+            most = Outcome.__members__.get(str(others[i, j]))
+            letter = most.letter if most is not None and share < 1 else ""
             words = "-" if np.isnan(share) else f"{100 * share:.0f}{letter}"
             axes.text(
                 j,
@@ -269,14 +266,9 @@ def draw_sweep(maps: Sequence[ConvergenceMap], x: SweepAxis, y: SweepAxis) -> Fi
 def _letters(maps: Sequence[ConvergenceMap]) -> str:
     """The letters that occur, in words."""
     present = {str(outcome) for _, _, others, _ in maps for outcome in others.flat}
-    return (
-        ", ".join(
-            f"{letter}: {word.replace('_', ' ')}"
-            for word, letter in LETTERS.items()
-            if word in present
-        )
-        or "none"
-    )
+    known = [outcome for outcome in Outcome if outcome.name in present and outcome.letter]
+    words = [f"{outcome.letter}: {outcome.name.replace('_', ' ')}" for outcome in known]
+    return ", ".join(words) or "none"
 
 
 @dataclass(frozen=True)
