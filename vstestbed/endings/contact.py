@@ -16,7 +16,9 @@ class Contact(Ending):
         self._supervisor = supervisor
 
     def update(self, frame: Frame) -> Verdict | None:
-        return self.verdict(frame.truth)
+        truth = frame.truth
+        # nearly every frame: nothing touches
+        return self.verdict(truth) if truth.contact or truth.feet else None
 
     def verdict(self, truth: Truth) -> Verdict | None:
         """The verdict at any instant, with the reason of an earlier abort."""

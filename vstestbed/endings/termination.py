@@ -106,8 +106,10 @@ class Termination:
         if self._explanation is not None:
             self._explanation.add(frame)
         if self._supervisor.aborted and not self._contact.touching(frame.truth):
-            return self._explained(self._given_up.update(frame))
-        return self._explained(next(filter(None, found), None))
+            verdict = self._given_up.update(frame)
+        else:
+            verdict = next(filter(None, found), None)
+        return verdict and self._explained(verdict)
 
     def without_picture(self, t: float, truth: Truth) -> Verdict | None:
         """The outcome while no picture arrives [s]: of a collision, of a task that was given up, or
@@ -116,15 +118,14 @@ class Termination:
         if collided := self._contact.verdict(truth):
             return collided
         if self._supervisor.aborted:
-            return self._explained(self._given_up.verdict(t))
+            verdict = self._given_up.verdict(t)
+            return verdict and self._explained(verdict)
         if not is_over(t, self._duration_s):
             return None
         return Outcome.timed_out, timed_out_words(self._duration_s)
 
-    def _explained(self, verdict: Verdict | None) -> Verdict | None:
-        if verdict is None or self._explanation is None:
-            return verdict
-        return self._explanation.explained(verdict)
+    def _explained(self, verdict: Verdict) -> Verdict:
+        return verdict if self._explanation is None else self._explanation.explained(verdict)
 
 
 def codes(runs: IdealRuns, limits: FrameLimits) -> NDArray[np.int_]:

@@ -89,16 +89,20 @@ class StereoPoint(Feature):
 
     def measure(self, xyw: Array) -> Array:
         """The vector s (..., 3N) of xyw (..., N, 3)."""
-        x, y, w = np.moveaxis(np.asarray(xyw, dtype=float), -1, 0)
-        d = self.baseline_m * w
+        xyw = np.asarray(xyw, dtype=float)
+        x = xyw[..., 0]
+        y = xyw[..., 1]
+        d = self.baseline_m * xyw[..., 2]
         rows = (x, y, d) if self.form == "disparity" else (x, x - d, y)
         return in_one(np.stack(rows, axis=-1))
 
     def interaction(self, xyw: Array, depth: Array) -> Array:
         """L (..., 3N, 6) of xyw (..., N, 3) and depth (..., N) [m]."""
-        x, y, _ = np.moveaxis(np.asarray(xyw, dtype=float), -1, 0)
+        xy = np.asarray(xyw, dtype=float)[..., :2]
+        x = xy[..., 0]
+        y = xy[..., 1]
         w = 1 / np.asarray(depth, dtype=float)
-        of_xy = _POINT.interaction(np.stack([x, y], axis=-1), depth)
+        of_xy = _POINT.interaction(xy, depth)
         of_x = of_xy[..., 0::2, :]
         of_y = of_xy[..., 1::2, :]
         of_w = np.zeros((*x.shape, 6))
@@ -178,7 +182,9 @@ class Polar(Bearings):
     def interaction(self, xy: Array, depth: Array) -> Array:
         """L (..., 2N, 6) of xy (..., N, 2) and depth (..., N) [m]."""
         xy, depth = self._checked(xy, depth)
-        r, phi = np.moveaxis(self.measure(xy).reshape(xy.shape), -1, 0)
+        s = self.measure(xy).reshape(xy.shape)
+        r = s[..., 0]
+        phi = s[..., 1]
         cos = np.cos(phi)
         sin = np.sin(phi)
         inv_z = 1 / depth
@@ -218,7 +224,10 @@ class Spherical(Bearings):
 
     def measure(self, ray: Array) -> Array:
         """The vector s (..., 2N) [rad] of rays (..., N, 3), of any length."""
-        X, Y, Z = np.moveaxis(np.asarray(ray, dtype=float), -1, 0)
+        ray = np.asarray(ray, dtype=float)
+        X = ray[..., 0]
+        Y = ray[..., 1]
+        Z = ray[..., 2]
         return in_one(joined(np.arctan2(np.hypot(X, Y), Z), np.arctan2(Y, X)))
 
     def interaction(self, ray: Array, range_: Array) -> Array:
@@ -227,8 +236,12 @@ class Spherical(Bearings):
         """
         ray, range_ = self._checked(ray, range_)
         s = self.measure(ray).reshape(*ray.shape[:-1], 2)
-        cos_t, cos = np.moveaxis(np.cos(s), -1, 0)
-        sin_t, sin = np.moveaxis(np.sin(s), -1, 0)
+        cosines = np.cos(s)
+        sines = np.sin(s)
+        cos_t = cosines[..., 0]
+        cos = cosines[..., 1]
+        sin_t = sines[..., 0]
+        sin = sines[..., 1]
         inv_r = 1 / range_
         weight = bearing_weight(sin_t, self.centre_weight) ** 2
         # on the axis the weight is 0, and so is the row
