@@ -55,10 +55,12 @@ def flown(
 def lines_of_plan(asked: comparison.Comparison, force: bool) -> Iterator[str]:
     """How many starts a comparison needs, and how many it plans."""
     variants = comparison.controllers(asked, force)
-    laws = len(variants) // len(variants.task_runs)
+    laws = len(variants) // len(variants.task_runs)  # each law flies every task
     pairs = math.comb(laws, 2) if has_every_pair(laws, asked.reference) else laws - 1
     limit = min(variant.scenario.stop.duration_s for variant in variants)
-    starts = sum(map(len, filter(None, variants.task_runs))) or asked.seeds
+    starts = asked.seeds
+    if any(variants.task_runs):
+        starts = sum(len(runs) for runs in variants.task_runs if runs)
     return plan_lines(laws, pairs, limit, starts, asked.margin)
 
 
@@ -90,8 +92,11 @@ def tell_changes(
     """
     allowed = baseline.TOLERANCE if tolerance is None else tolerance
     worse = [f"worse: {words}" for words in changes.regressions(allowed)]
-    # the reason for 5 is always told
-    lines = [baseline.text(changes), *(worse or ["nothing got worse"])] if shown else worse * fail
+    lines: list[str] = []
+    if shown:
+        lines = [baseline.text(changes), *(worse or ["nothing got worse"])]
+    elif fail:  # the reason for 5 is always told
+        lines = worse
     for line in lines:
         typer.echo(line, err=True)
     if fail and worse:

@@ -38,8 +38,13 @@ class Ending:
 
 
 class FrameLimits(NamedTuple):
-    """The limits of a run by its frames: the last one; how many in turn hold the goal, make a rest,
-    and lose the target; the way [m] that loses it; whether the target's face can be lost.
+    """The limits of a run, counted in frames.
+
+    Attributes:
+        last: number of the last frame. hold, rest, lost: how many frames in turn at the goal reach
+            it, how many at rest elsewhere are a local minimum, and how many without a measurement
+            lose the target. lost_m: way [m] without one that loses it.
+        one_sided: whether a camera behind its target has lost it.
     """
 
     last: int
@@ -89,6 +94,7 @@ def frames(duration_s: float, rate_hz: float) -> int:
     """Number of frames after which a time [s] has passed, as single runs compare times."""
     if math.isinf(duration_s):
         return NEVER
+    # 1 ns as of single runs; and a product of times and rates may miss a whole number by a rounding
     return max(0, math.ceil((duration_s - 1e-9) * rate_hz - 1e-9))
 
 

@@ -38,10 +38,10 @@ ORDER = (
     AtRest,
     OutOfTime,
 )
-"""All terms by their precedence: of several in one frame the first counts. While a task is given
-up, only a contact comes before the robot's rest.
+"""All terms by their precedence: of several in one frame the first counts. A task that was given up
+ends when the robot has come to rest; until then nothing but a contact ends the run.
 """
-OVER_ARRAYS = tuple(term for term in ORDER if term.over is not Ending.over)
+OVER_ARRAYS = tuple(term for term in ORDER if term.outcome)
 OUTCOMES: tuple[Outcome, ...] = tuple(term.outcome for term in OVER_ARRAYS if term.outcome)
 """Outcomes of ideal runs; an outcome's code is its place."""
 
@@ -87,6 +87,7 @@ class Termination:
         self._given_up = GivenUp(
             supervisor, self._duration_s, explanation.lost if explanation else None
         )
+        # the given-up task is asked apart; the other terms of ORDER are of ideal runs alone
         terms = (
             Reached(task),
             self._contact,

@@ -26,7 +26,7 @@ from vstestbed.sim import gl_probe as gl
 from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.render.opengl import OpenGLRenderer
 from vstestbed.sim.render.pictures import servo_renderer
-from vstestbed.sim.render.rays import BLANK, Caster, RayRenderer, RaySceneCamera
+from vstestbed.sim.render.rays import BLANK, Caster, Raster, RayRenderer, RaySceneCamera
 from vstestbed.sim.scene.meshes import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.sim.scene.world import World
@@ -436,3 +436,9 @@ def test_a_machine_without_opengl_runs_films_and_all(tmp_path: Path, vstestbed_p
         (tmp_path / "done" / name).stat().st_size > 10000
         for name in ("camera.mp4", "overview.mp4", "report.html")
     )
+
+
+def test_a_raster_of_one_row_knows_how_far_its_rays_are_apart() -> None:
+    flat = Raster(Perspective(width=640, height=8), np.eye(3), 0, 0.1)
+    assert flat.apart.shape == (1, 64)
+    assert np.all(flat.apart > 0)

@@ -420,7 +420,7 @@ def identify(
         if stage + 1 < STAGES:
             errors = errors.whitened(x)
     found = _summed_up(errors, x)
-    if found.residual >= MISFIT:
+    if not found.residual < MISFIT:  # also where it is not known
         logging.getLogger("vstestbed").warning("the simulator does not read what the robot read")
     return found
 
@@ -854,7 +854,7 @@ def write(folder: Path, found: Identified, source: str, command: str) -> Path:
     )
     head = "The simulator reads what the robot read"
     state = "good"
-    if found.residual >= MISFIT:
+    if not found.residual < MISFIT:  # also where it is not known
         head = "The simulator does not read what the robot read"
         state = "open"
     elif found.together:

@@ -54,11 +54,13 @@ def angles_to_next(rays: Array) -> Array:
     """Angle [rad] from each ray (H, W, 3) to the farther of the next ones across and down, shape
     (H, W); 0 where there is none.
     """
-    across = lengths(np.diff(rays, axis=1))[..., 0]
-    down = lengths(np.diff(rays, axis=0))[..., 0]
-    across = np.pad(across, ((0, 0), (0, 1)), mode="edge")
-    down = np.pad(down, ((0, 1), (0, 0)), mode="edge")
-    return np.nan_to_num(np.fmax(across, down))
+    out = np.zeros(rays.shape[:2])
+    for axis in (0, 1):
+        if rays.shape[axis] > 1:  # a raster of a very flat picture has one row
+            steps = lengths(np.diff(rays, axis=axis))[..., 0]
+            last = steps[-1:] if axis == 0 else steps[:, -1:]
+            np.fmax(out, np.concatenate([steps, last], axis=axis), out=out)
+    return out
 
 
 ROWS = 32  # rows of an image that are cast at a time: of a narrow bundle most geoms are culled
